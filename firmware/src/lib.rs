@@ -1,0 +1,2 @@
+//! Firmware library, generic over the board.
+#![no_std]

@@ -1,0 +1,1 @@
+//! A measurement against the fixed-point model and the simulation.

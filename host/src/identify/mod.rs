@@ -1,0 +1,1 @@
+//! Parameters from measurements: stator circuit, friction, force factor.

@@ -1,0 +1,13 @@
+//! Host side of a travelling-wave ultrasonic motor bench.
+
+pub mod compare;
+pub mod diagnose;
+pub mod identify;
+pub mod instruments;
+pub mod link;
+pub mod model;
+pub mod neck;
+pub mod record;
+pub mod report;
+pub mod signal;
+pub mod sim;

@@ -1,0 +1,1 @@
+//! How the host reaches a board: serial port, pseudo-terminal, in memory.

@@ -1,0 +1,1 @@
+//! The motor: parameters, carrier and averaged models, effects.

@@ -1,0 +1,1 @@
+//! The neck manipulator: exercises, kinematics, three loops.

@@ -1,0 +1,1 @@
+//! Recordings and measurement folders: store, import, export.

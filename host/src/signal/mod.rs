@@ -1,0 +1,1 @@
+//! From encoder edges to position, speed and spectra.

@@ -1,0 +1,1 @@
+//! The simulated board: virtual clock, driver board, motor.
