@@ -1,1 +1,4 @@
-//! Pictures and self-contained HTML reports.
+//! Figures (SVG, PNG) and self-contained HTML pages, made without a display and equal byte for byte for equal input.
+
+pub mod figure;
+pub mod html;
