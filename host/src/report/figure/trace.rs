@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn dashes_cover_their_share() {
-        let parts = dashes(&[(0.0, 0.0), (100.0, 0.0)], 6.0, 4.0);
+        let parts = dashes(&[(0.0, 0.0), (98.0, 0.0)], 6.0, 4.0);
         let drawn: f64 = parts.iter().map(|p| p.last().unwrap().0 - p[0].0).sum();
         assert!((drawn - 60.0).abs() < 1e-9);
         assert_eq!(parts.len(), 10);
