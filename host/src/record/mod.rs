@@ -1,1 +1,3 @@
 //! Recordings and measurement folders: store, import, export.
+
+pub mod measurement;

@@ -1,0 +1,158 @@
+//! Writing a measurement folder; nothing is ever overwritten.
+
+use super::manifest::{self, Entry, Manifest};
+use super::{ControlSpec, Direction, DriveResponse, MANIFEST, Measurement, MeasurementError, Run, RunData};
+use std::collections::HashSet;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+use toml::Spanned;
+
+pub(super) fn save(measurement: &Measurement, folder: &Path) -> Result<Measurement, MeasurementError> {
+    let io_error = |source| MeasurementError::io(folder, source);
+    fs::create_dir_all(folder).map_err(io_error)?;
+    if fs::read_dir(folder).map_err(io_error)?.next().is_some() {
+        return Err(MeasurementError::whole(
+            folder,
+            "the folder is not empty: choose a new one, nothing is overwritten",
+        ));
+    }
+    let mut taken: HashSet<String> = HashSet::from([MANIFEST.to_owned()]);
+    if let Some(source) = measurement.motor_file() {
+        manifest::inside(&measurement.folder, &measurement.motor)
+            .map_err(|what| MeasurementError::whole(&source, format!("motor: {what}")))?;
+        copy_new(&source, &folder.join(&measurement.motor))?;
+        taken.insert(measurement.motor.to_lowercase());
+    }
+    let mut entries = Vec::with_capacity(measurement.runs.len());
+    for run in &measurement.runs {
+        let file = file_name(&run.id, &mut taken);
+        let path = folder.join(&file);
+        let written = create_new(&path).and_then(|mut out| {
+            write_data(&mut out, &run.data)?;
+            out.flush()
+        });
+        written.map_err(|source| MeasurementError::io(&path, source))?;
+        entries.push(entry(run, file));
+    }
+    let manifest = Manifest {
+        name: measurement.name.clone(),
+        motor: spanned(measurement.motor.clone()),
+        edges_per_rev: Some(spanned(measurement.edges_per_rev)),
+        run: entries,
+    };
+    let path = folder.join(MANIFEST);
+    let text = toml::to_string(&manifest).map_err(|error| MeasurementError::whole(&path, error.to_string()))?;
+    let written = create_new(&path).and_then(|mut out| {
+        out.write_all(text.as_bytes())?;
+        out.flush()
+    });
+    written.map_err(|source| MeasurementError::io(&path, source))?;
+    // Reading back costs little and proves that what was written keeps every rule of the format.
+    Measurement::load(folder)
+}
+
+fn spanned<T>(value: T) -> Spanned<T> {
+    Spanned::new(0..0, value)
+}
+
+fn create_new(path: &Path) -> io::Result<BufWriter<File>> {
+    OpenOptions::new().write(true).create_new(true).open(path).map(BufWriter::new)
+}
+
+fn copy_new(from: &Path, to: &Path) -> Result<(), MeasurementError> {
+    if let Some(parent) = to.parent() {
+        fs::create_dir_all(parent).map_err(|source| MeasurementError::io(parent, source))?;
+    }
+    let mut source = File::open(from).map_err(|error| MeasurementError::io(from, error))?;
+    let copied = create_new(to).and_then(|mut out| {
+        io::copy(&mut source, &mut out)?;
+        out.flush()
+    });
+    copied.map_err(|error| MeasurementError::io(to, error))
+}
+
+/// A file name made of the run's id that is valid everywhere and unique even where case does not count.
+fn file_name(id: &str, taken: &mut HashSet<String>) -> String {
+    let stem: String =
+        id.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' || c == '_' { c } else { '_' }).take(60).collect();
+    let mut name = format!("{stem}.csv");
+    let mut suffix = 2;
+    while !taken.insert(name.to_lowercase()) {
+        name = format!("{stem}-{suffix}.csv");
+        suffix += 1;
+    }
+    name
+}
+
+fn entry(run: &Run, file: String) -> Entry {
+    Entry {
+        id: spanned(run.id.clone()),
+        kind: run.kind,
+        file: spanned(file),
+        format: run.data.format(),
+        duty: run.duty.map(spanned),
+        direction: run.direction,
+        pwm_hz: Some(spanned(run.pwm_hz)),
+        drive_on_s: run.drive_on_s.map(spanned),
+        pwm_phase_s: (run.pwm_phase_s != 0.0).then(|| spanned(run.pwm_phase_s)),
+        aligned: run.aligned.then_some(true),
+        order: run.order,
+        control: run.control.as_ref().map(|control| spanned(control_value(control))),
+    }
+}
+
+fn control_value(control: &ControlSpec) -> toml::Value {
+    match control {
+        ControlSpec::Thesis => "thesis".into(),
+        ControlSpec::Default => "default".into(),
+        ControlSpec::Table(gains) => toml::Value::try_from(gains).expect("numbers always serialise"),
+    }
+}
+
+/// Writes the samples as the table [`RunData::format`] names. Numbers are printed with as many digits as bring the same
+/// number back.
+pub(super) fn write_data(out: &mut impl Write, data: &RunData) -> io::Result<()> {
+    match data {
+        RunData::Levels { start_us, period_us, levels } => {
+            writeln!(out, "time_us,level")?;
+            for (index, level) in levels.iter().enumerate() {
+                writeln!(out, "{},{}", start_us + index as f64 * period_us, u8::from(*level))?;
+            }
+        }
+        RunData::Edges { initial, start_us, edges, end_us } => {
+            writeln!(out, "time_us,level\n{start_us},{}", u8::from(*initial))?;
+            for edge in edges {
+                writeln!(out, "{},{}", edge.time_us, u8::from(edge.level))?;
+            }
+            let last = edges.last();
+            if last.is_none_or(|edge| edge.time_us < *end_us) {
+                writeln!(out, "{end_us},{}", u8::from(last.map_or(*initial, |edge| edge.level)))?;
+            }
+        }
+        RunData::Velocity { time_us, rpm } => {
+            writeln!(out, "time_us,rpm")?;
+            for (time_us, rpm) in time_us.iter().zip(rpm) {
+                writeln!(out, "{time_us},{rpm}")?;
+            }
+        }
+        RunData::Control(rows) => {
+            writeln!(out, "time_us,target,position,u,duty,direction")?;
+            for row in rows {
+                let direction = if row.direction == Direction::Cw { 1 } else { -1 };
+                writeln!(out, "{},{},{},{},{},{direction}", row.time_us, row.target, row.position, row.u, row.duty)?;
+            }
+        }
+        RunData::Drive { time_us, input, response } => {
+            let (name, values) = match response {
+                DriveResponse::PositionRad(values) => ("position_rad", values),
+                DriveResponse::SpeedRpm(values) => ("speed_rpm", values),
+            };
+            writeln!(out, "time_us,input,{name}")?;
+            for ((time_us, input), value) in time_us.iter().zip(input).zip(values) {
+                writeln!(out, "{time_us},{input},{value}")?;
+            }
+        }
+    }
+    Ok(())
+}
