@@ -1,0 +1,346 @@
+//! What host and device say to each other. Serialised with postcard inside [`crate::frame`]s; a change of any type here
+//! is a change of [`crate::frame::PROTOCOL_VERSION`].
+
+use crate::encoder::{CountSign, Edge};
+use crate::reference::{Reference, ReferenceError};
+use crate::safety::Limits;
+use crate::step::{ConfigError, ConfigSpec, State};
+use crate::{Direction, Duty, Fault};
+use heapless::{String, Vec};
+use serde::{Deserialize, Serialize};
+
+/// Words in a block of bits: one second of samples.
+pub const BITS_WORDS: usize = 32;
+/// Edges in a block.
+pub const BLOCK_EDGES: usize = 48;
+/// Samples in a block of control samples.
+pub const BLOCK_SAMPLES: usize = 16;
+
+/// Everything the motor is run with. Validated by the device before it can arm, and echoed back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Configuration {
+    /// The controller.
+    pub control: ConfigSpec,
+    /// The limits.
+    pub limits: Limits,
+    /// Which way the count moves while the direction pin is high.
+    pub count_sign: CountSign,
+    /// Encoder edges a revolution.
+    pub edges_per_rev: u16,
+    /// PWM frequency, Hz.
+    pub pwm_hz: u16,
+}
+
+impl Configuration {
+    /// The 30 mm PCBMotor under `control`.
+    pub const fn with_control(control: ConfigSpec) -> Self {
+        Self { control, limits: Limits::DEFAULT, count_sign: CountSign::Positive, edges_per_rev: 400, pwm_hz: 50 }
+    }
+}
+
+/// Which capture streams run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CaptureMode {
+    /// The encoder level at 1 kHz, packed.
+    pub bits: bool,
+    /// Every encoder edge with its time.
+    pub edges: bool,
+    /// Every control tick.
+    pub control: bool,
+}
+
+/// A timed run at constant duty.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SpeedRun {
+    /// Drive-on fraction.
+    pub duty: Duty,
+    /// Direction.
+    pub direction: Direction,
+    /// How long the drive is on, ms.
+    pub duration_ms: u32,
+}
+
+/// A timed closed-loop run; the position at its start becomes zero.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TrackRun {
+    /// What to track.
+    pub reference: Reference,
+    /// How long, ms.
+    pub duration_ms: u32,
+}
+
+/// Host to device.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum HostMessage {
+    /// Opens the conversation; answered with [`DeviceMessage::Hello`].
+    Hello,
+    /// Says that the host is alive; not acknowledged.
+    Keepalive,
+    /// Sets the configuration. Refused unless the motor is idle.
+    Configure(Configuration),
+    /// Aligns the motor. Refused unless idle and in the driver's text mode.
+    Align,
+    /// Allows runs. Refused unless idle, configured and aligned.
+    Arm,
+    /// Runs at constant duty. Refused unless armed.
+    Speed(SpeedRun),
+    /// Tracks a reference. Refused unless armed.
+    Track(TrackRun),
+    /// Chooses the capture streams.
+    Capture(CaptureMode),
+    /// Passes a line of text to the driver board. Refused unless idle and in the driver's text mode.
+    Driver(String<64>),
+    /// Stops the motor, clears a latched fault, disarms. Never refused.
+    Stop,
+    /// Restarts the device. Refused unless idle or in fault.
+    Reboot,
+}
+
+/// Why the device last started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ResetCause {
+    /// Power came.
+    PowerOn,
+    /// The reset pin, or the serial port's control lines.
+    External,
+    /// A reboot that was asked for.
+    Software,
+    /// The hardware watchdog.
+    Watchdog,
+    /// A panic.
+    Panic,
+    /// The supply sagged.
+    BrownOut,
+    /// Something else.
+    Unknown,
+}
+
+/// Who the device is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Identity {
+    /// Firmware version.
+    pub firmware: String<24>,
+    /// Chip, or `simulated`.
+    pub chip: String<16>,
+    /// Why it last started.
+    pub reset: ResetCause,
+    /// Its state now.
+    pub mode: Mode,
+    /// The latched fault, if any.
+    pub fault: Option<Fault>,
+}
+
+/// State of the supervisor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Mode {
+    /// Output off, waiting for commands.
+    Idle,
+    /// The alignment routine runs, through the driver's text mode.
+    Aligning,
+    /// A driver text command runs.
+    Passthrough,
+    /// Runs are allowed.
+    Armed,
+    /// A run drives the motor.
+    Running,
+    /// A fault is latched.
+    Fault,
+}
+
+/// Why a command was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum Refusal {
+    /// The supervisor is in a mode that does not take it.
+    #[error("not possible while {0:?}")]
+    Mode(Mode),
+    /// A fault is latched.
+    #[error("a fault is latched ({0}); stop first")]
+    Fault(Fault),
+    /// No valid configuration was sent.
+    #[error("no valid configuration; send one first")]
+    NotConfigured,
+    /// The motor was not aligned.
+    #[error("not aligned; align first")]
+    NotAligned,
+    /// The driver board is already in hardware mode, which only cycling its power ends.
+    #[error(
+        "the driver board is in hardware mode; cycle its power and reboot the controller to use text commands again"
+    )]
+    HardwareMode,
+    /// The controller does not validate.
+    #[error("{0}")]
+    Config(ConfigError),
+    /// The limits, edges or PWM frequency do not validate.
+    #[error("limits, edges per revolution or PWM frequency are out of range")]
+    Limits,
+    /// The reference does not validate.
+    #[error("{0}")]
+    Reference(ReferenceError),
+    /// A duration of zero or above an hour.
+    #[error("duration must be between 1 ms and an hour")]
+    Duration,
+    /// The driver line is not understood.
+    #[error("the driver line is not understood")]
+    DriverLine,
+    /// The device is busy with the command before.
+    #[error("the device is busy with the command before; try again")]
+    Busy,
+}
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RunEnd {
+    /// Its time was up.
+    Completed,
+    /// The host stopped it.
+    Stopped,
+    /// A fault stopped it.
+    Fault(Fault),
+}
+
+/// A block of 1 kHz samples.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BitsBlock {
+    /// Index of the first sample since the stream was switched on; a jump is a loss.
+    pub first_sample: u64,
+    /// Device time of the first sample, µs.
+    pub first_us: u64,
+    /// Samples in the block (the last word may be partly filled, from its top).
+    pub samples: u16,
+    /// 32 samples a word, the oldest in the most significant bit.
+    pub words: Vec<u32, BITS_WORDS>,
+}
+
+/// A block of encoder edges.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EdgesBlock {
+    /// Index of the first edge since the stream was switched on; a jump is a loss.
+    pub first_edge: u64,
+    /// The edges. Their times are the low 32 bits of the device clock; the frame's own time resolves the rest.
+    pub edges: Vec<Edge, BLOCK_EDGES>,
+}
+
+/// One control tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ControlSample {
+    /// Wanted position, counts.
+    pub target: i32,
+    /// Rate of the wanted position, counts/s.
+    pub target_rate: i32,
+    /// Measured position, counts.
+    pub position: i32,
+    /// Control signal, signed duty steps in Q16.16.
+    pub u: i32,
+    /// Steps of the PWM period with the drive on.
+    pub on_steps: u16,
+    /// Direction of the drive.
+    pub direction: Direction,
+    /// How late the tick started, µs.
+    pub late_us: u16,
+    /// How long the tick before took, µs.
+    pub duration_us: u16,
+}
+
+/// A block of consecutive control ticks. The state at its start lets a replay resume after a gap.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ControlBlock {
+    /// Index of the first tick since the run started; a jump is a loss.
+    pub first_tick: u64,
+    /// Device time at which the first tick was due, µs.
+    pub first_us: u64,
+    /// The controller's state before the first tick.
+    pub state: State,
+    /// The ticks.
+    pub samples: Vec<ControlSample, BLOCK_SAMPLES>,
+}
+
+/// How the device is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Status {
+    /// Supervisor state.
+    pub mode: Mode,
+    /// Latched fault.
+    pub fault: Option<Fault>,
+    /// Position, counts.
+    pub position: i32,
+    /// Duty now.
+    pub duty: Duty,
+    /// Direction now.
+    pub direction: Direction,
+    /// Control ticks since boot.
+    pub ticks: u64,
+    /// Ticks that started late.
+    pub late_ticks: u32,
+    /// Latest start of a tick, µs after it was due.
+    pub worst_late_us: u32,
+    /// Longest tick, µs.
+    pub worst_duration_us: u32,
+    /// Encoder edges since boot.
+    pub edges: u32,
+    /// Capture items (words, edges, ticks) lost because a queue was full.
+    pub lost_items: u32,
+    /// Frames from the host that could not be read.
+    pub bad_frames: u32,
+}
+
+/// A fault, when it latched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FaultReport {
+    /// The fault.
+    pub fault: Fault,
+    /// Device time at which the output was switched off for it, µs.
+    pub off_us: u64,
+    /// Position then, counts.
+    pub position: i32,
+}
+
+/// Device to host.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum DeviceMessage {
+    /// Who the device is.
+    Hello(Identity),
+    /// The command with this sequence was taken.
+    Ack {
+        /// Sequence of the host's frame.
+        of: u32,
+    },
+    /// The command with this sequence was refused.
+    Nack {
+        /// Sequence of the host's frame.
+        of: u32,
+        /// Why.
+        reason: Refusal,
+    },
+    /// The configuration in force, sent when it is set and when a capture starts, so that a recording holds it.
+    Configured(Configuration),
+    /// The motor is aligned, its count zero, the driver in hardware mode.
+    Aligned,
+    /// A run begins with its first control tick.
+    RunStarted {
+        /// Device time of the first tick, µs: t = 0 of the run and the start of a PWM period.
+        start_us: u64,
+    },
+    /// A run is over.
+    RunEnded {
+        /// How.
+        end: RunEnd,
+        /// Device time, µs.
+        end_us: u64,
+    },
+    /// 1 kHz samples.
+    Bits(BitsBlock),
+    /// Encoder edges.
+    Edges(EdgesBlock),
+    /// Control ticks.
+    Control(ControlBlock),
+    /// How the device is, ten times a second.
+    Status(Status),
+    /// A fault latched.
+    Fault(FaultReport),
+    /// The driver board's reply, in pieces.
+    DriverReply(Vec<u8, 64>),
+    /// The driver's text command is over: its reply ended and the motor stands.
+    DriverDone,
+    /// A line for people.
+    Log(String<96>),
+}

@@ -1,0 +1,479 @@
+//! The one pure control step: target and position in, signed drive out, integers only.
+//!
+//! Two named configurations exist. [`ConfigSpec::THESIS`] is the arithmetic of the thesis's position controller
+//! (appendix C.2), quirks included; [`ConfigSpec::DEFAULT`] is what this project recommends. Both run through the same
+//! [`step`], and so does anything a user configures.
+
+use crate::{Direction, Duty};
+use fixed::types::{I16F48, I32F32};
+use serde::{Deserialize, Serialize};
+
+/// How the control signal becomes a duty.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum DriveLaw {
+    /// The thesis's: the pin's high time is `steps - 1 - |u|`, clipped at zero and truncated, so no control signal still
+    /// leaves one step of drive on, and a zero signal turns counter-clockwise.
+    ActiveLowTruncated,
+    /// On time is `|u|` rounded to the nearest step, zero is off, and the direction only changes with drive.
+    OnTimeRounded,
+}
+
+/// A controller as it travels and is stored: not yet validated. [`Config::try_from`] validates it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ConfigSpec {
+    /// Proportional gain, duty steps per count.
+    pub kp: I32F32,
+    /// Integral gain, duty steps per count and tick (the usual gain per count·s, times the period).
+    pub ki_tick: I16F48,
+    /// Derivative gain, duty steps per count/tick (the usual gain per count/s, over the period).
+    pub kd_tick: I32F32,
+    /// Feed-forward of the target's rate, duty steps per count/s.
+    pub feed_forward: I32F32,
+    /// Smallest value of the error integral, count·ticks.
+    pub integral_min: i32,
+    /// Largest value of the error integral, count·ticks.
+    pub integral_max: i32,
+    /// Control period, µs.
+    pub period_us: u32,
+    /// Duty steps in a PWM period.
+    pub duty_steps: u16,
+    /// How the control signal becomes a duty.
+    pub law: DriveLaw,
+    /// While the target rests, errors up to this many counts are left alone and the drive is off.
+    pub dead_band_counts: u16,
+    /// Stop integrating while the drive is saturated in the direction of the error.
+    pub conditional_integration: bool,
+}
+
+impl ConfigSpec {
+    /// The thesis's position controller (C.2): gains 1.3, 0.0015 and 0.00004 in 5-bit duty steps, every 500 µs, the
+    /// integral clamped to [0, 31] count·s.
+    pub const THESIS: Self = Self {
+        kp: I32F32::lit("1.3"),
+        ki_tick: I16F48::lit("0.00000075"),
+        kd_tick: I32F32::lit("0.08"),
+        feed_forward: I32F32::ZERO,
+        integral_min: 0,
+        integral_max: 62_000,
+        period_us: 500,
+        duty_steps: 32,
+        law: DriveLaw::ActiveLowTruncated,
+        dead_band_counts: 0,
+        conditional_integration: false,
+    };
+
+    /// The recommended controller: finer duty, symmetric anti-windup, feed-forward of the target's rate, true off.
+    ///
+    /// There is no derivative term: the encoder resolves 0.9°, so its difference over 500 µs is all quantisation.
+    pub const DEFAULT: Self = Self {
+        kp: I32F32::lit("70"),
+        ki_tick: I16F48::lit("0.1"),
+        kd_tick: I32F32::ZERO,
+        feed_forward: I32F32::lit("4"),
+        integral_min: -4_000,
+        integral_max: 4_000,
+        period_us: 500,
+        duty_steps: 1_024,
+        law: DriveLaw::OnTimeRounded,
+        dead_band_counts: 0,
+        conditional_integration: true,
+    };
+}
+
+/// Why a configuration cannot run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum ConfigError {
+    /// A gain whose product with the largest error would overflow.
+    #[error("gain {0} is out of range: its magnitude must stay below 1024 duty steps per unit")]
+    Gain(GainName),
+    /// Integral limits that are not in order, do not contain zero, or overflow with the integral gain.
+    #[error("integral limits must satisfy min <= 0 <= max, and |ki| times the larger one stay below 2^29 duty steps")]
+    IntegralLimits,
+    /// A period the timers do not serve.
+    #[error("control period {0} us is outside 100..=10000 us")]
+    Period(u32),
+    /// Too few or too many duty steps.
+    #[error("{0} duty steps are outside 2..=32768")]
+    DutySteps(u16),
+}
+
+/// Names a gain in an error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum GainName {
+    /// Proportional.
+    Kp,
+    /// Integral.
+    Ki,
+    /// Derivative.
+    Kd,
+    /// Feed-forward.
+    FeedForward,
+}
+
+impl core::fmt::Display for GainName {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Kp => "kp",
+            Self::Ki => "ki",
+            Self::Kd => "kd",
+            Self::FeedForward => "feed_forward",
+        })
+    }
+}
+
+/// A validated controller: every arithmetic operation of [`step`] stays inside 64 bits for any input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Config {
+    spec: ConfigSpec,
+}
+
+impl Config {
+    /// What the controller was built from.
+    pub const fn spec(&self) -> &ConfigSpec {
+        &self.spec
+    }
+}
+
+/// Errors saturate here: 2^18 counts are 655 turns of a 400-edge encoder, far beyond any drive's saturation.
+const ERROR_LIMIT: i32 = 1 << 18;
+/// Gains stay below this, so that gain (Q32) x difference of two errors stays below 2^62.
+const GAIN_LIMIT: I32F32 = I32F32::lit("1024");
+/// Rates of the target saturate here, counts/s.
+const RATE_LIMIT: i32 = 1 << 18;
+
+impl TryFrom<ConfigSpec> for Config {
+    type Error = ConfigError;
+
+    fn try_from(spec: ConfigSpec) -> Result<Self, ConfigError> {
+        let gains = [(GainName::Kp, spec.kp), (GainName::Kd, spec.kd_tick), (GainName::FeedForward, spec.feed_forward)];
+        for (name, gain) in gains {
+            if gain <= -GAIN_LIMIT || gain >= GAIN_LIMIT {
+                return Err(ConfigError::Gain(name));
+            }
+        }
+        if spec.ki_tick <= -I16F48::lit("1024") || spec.ki_tick >= I16F48::lit("1024") {
+            return Err(ConfigError::Gain(GainName::Ki));
+        }
+        let limit = i64::from(spec.integral_max).max(-i64::from(spec.integral_min));
+        let product = spec.ki_tick.to_bits().checked_abs().and_then(|ki| ki.checked_mul(limit));
+        let in_order = spec.integral_min <= 0 && spec.integral_max >= 0;
+        // With 48 fractional bits, 2^62 is 2^14 duty steps; a product that fits is also one the sum can bear.
+        if !in_order || product.is_none_or(|p| p >= 1 << 62) {
+            return Err(ConfigError::IntegralLimits);
+        }
+        if !(100..=10_000).contains(&spec.period_us) {
+            return Err(ConfigError::Period(spec.period_us));
+        }
+        if !(2..=32_768).contains(&spec.duty_steps) {
+            return Err(ConfigError::DutySteps(spec.duty_steps));
+        }
+        Ok(Self { spec })
+    }
+}
+
+/// What the controller remembers between ticks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct State {
+    /// Sum of the error over the ticks, count·ticks, inside the configured limits.
+    pub integral: i32,
+    /// Error of the last tick, counts.
+    pub previous_error: i32,
+    /// Direction of the last drive.
+    pub direction: Direction,
+}
+
+impl State {
+    /// A controller that has seen nothing.
+    pub const REST: Self = Self { integral: 0, previous_error: 0, direction: Direction::Ccw };
+}
+
+/// What a tick sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Inputs {
+    /// Wanted position, counts.
+    pub target: i32,
+    /// Rate of the wanted position, counts/s.
+    pub target_rate: i32,
+    /// Measured position, counts.
+    pub position: i32,
+}
+
+/// What a tick decides.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Outputs {
+    /// Control signal, signed duty steps in Q16.16, saturated.
+    pub u: i32,
+    /// Steps of the PWM period with the drive on, 0..=`duty_steps`.
+    pub on_steps: u16,
+    /// Direction of the drive.
+    pub direction: Direction,
+}
+
+impl Outputs {
+    /// The duty for an output stage.
+    pub const fn duty(&self, config: &Config) -> Duty {
+        Duty::from_ratio(self.on_steps, config.spec.duty_steps)
+    }
+}
+
+/// One tick of the controller. Pure; no input overflows or panics.
+///
+/// Gains are exact to 2^-33, so the sum is rounded to the nearest 2^-24 before the duty is formed: products that are
+/// whole numbers in decimal (1.3 × 10) are then whole numbers here too, and truncation falls as it does in the thesis's
+/// doubles.
+#[inline]
+pub fn step(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
+    let spec = &config.spec;
+    let error = inputs.target.saturating_sub(inputs.position).clamp(-ERROR_LIMIT, ERROR_LIMIT);
+    let difference = error - state.previous_error.clamp(-ERROR_LIMIT, ERROR_LIMIT);
+    let rate = inputs.target_rate.clamp(-RATE_LIMIT, RATE_LIMIT);
+    state.previous_error = error;
+
+    let resting = rate == 0 && error.unsigned_abs() <= u32::from(spec.dead_band_counts) && spec.dead_band_counts > 0;
+    if resting {
+        return Outputs { u: 0, on_steps: 0, direction: state.direction };
+    }
+
+    let integral = state.integral.saturating_add(error).clamp(spec.integral_min, spec.integral_max);
+    let without_integral = product(spec.kp, error)
+        .saturating_add(product(spec.kd_tick, difference))
+        .saturating_add(product(spec.feed_forward, rate));
+    let full = i64::from(spec.duty_steps) << 24;
+    let signal = |integral: i32| {
+        let integral_term = (spec.ki_tick.to_bits().saturating_mul(i64::from(integral))) >> 16;
+        rounded_q24(without_integral.saturating_add(integral_term))
+    };
+    let mut u = signal(integral);
+    let winds_up = spec.conditional_integration && u.abs() > full && (u > 0) == (error > 0) && error != 0;
+    if winds_up {
+        u = signal(state.integral.clamp(spec.integral_min, spec.integral_max));
+    } else {
+        state.integral = integral;
+    }
+
+    let (on_steps, direction) = match spec.law {
+        DriveLaw::ActiveLowTruncated => {
+            let high = ((full - (1 << 24) - u.abs()).max(0) >> 24) as u16;
+            (spec.duty_steps - high, if u > 0 { Direction::Cw } else { Direction::Ccw })
+        }
+        DriveLaw::OnTimeRounded => {
+            let on = ((u.abs().min(full) + (1 << 23)) >> 24) as u16;
+            let wanted = if u > 0 { Direction::Cw } else { Direction::Ccw };
+            (on, if on > 0 { wanted } else { state.direction })
+        }
+    };
+    state.direction = direction;
+    Outputs { u: (u >> 8).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32, on_steps, direction }
+}
+
+/// `gain × whole`, raw Q32. Both factors are bounded, so the product stays below 2^62.
+fn product(gain: I32F32, whole: i32) -> i64 {
+    gain.to_bits().saturating_mul(i64::from(whole))
+}
+
+/// Q32 to Q24, to nearest, halves away from zero, so that both directions round alike.
+fn rounded_q24(q32: i64) -> i64 {
+    let magnitude = (q32.unsigned_abs().saturating_add(1 << 7) >> 8) as i64;
+    if q32 < 0 { -magnitude } else { magnitude }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+
+    fn thesis() -> Config {
+        Config::try_from(ConfigSpec::THESIS).unwrap()
+    }
+
+    /// The arithmetic of the thesis's `compute()` (C.2) in doubles, written from its formulas: the independent reference.
+    #[derive(Default)]
+    struct Doubles {
+        previous: f64,
+        integral: f64,
+    }
+
+    impl Doubles {
+        fn compute(&mut self, target: i32, position: i32) -> (i64, Direction) {
+            let dt = 500.0 / 1_000_000.0;
+            let e = f64::from(target) - f64::from(position);
+            let rate = (e - self.previous) / dt;
+            self.integral = (self.integral + e * dt).clamp(0.0, 31.0);
+            let u = 1.3 * e + 0.0015 * self.integral + 0.00004 * rate;
+            self.previous = e;
+            ((31.0 - u.abs()).max(0.0) as i64, if u > 0.0 { Direction::Cw } else { Direction::Ccw })
+        }
+    }
+
+    /// A small generator of its own (PCG), so that the runs are the same on every machine.
+    struct Pcg(u64);
+
+    impl Pcg {
+        fn next(&mut self) -> u32 {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let shifted = (((self.0 >> 18) ^ self.0) >> 27) as u32;
+            shifted.rotate_right((self.0 >> 59) as u32)
+        }
+
+        fn within(&mut self, low: i32, high: i32) -> i32 {
+            low + (self.next() % (high - low + 1) as u32) as i32
+        }
+    }
+
+    /// Differing ticks of a run, and the largest difference in PWM steps.
+    fn differences(errors: impl Iterator<Item = i32>) -> (u32, u32, i64) {
+        let (config, mut state, mut doubles) = (thesis(), State::REST, Doubles::default());
+        let (mut ticks, mut different, mut largest) = (0, 0, 0);
+        for error in errors {
+            let ours = step(&config, &mut state, Inputs { target: error, target_rate: 0, position: 0 });
+            let (theirs, _) = doubles.compute(error, 0);
+            let distance = (i64::from(32 - ours.on_steps) - theirs).abs();
+            ticks += 1;
+            different += u32::from(distance != 0);
+            largest = largest.max(distance);
+        }
+        (ticks, different, largest)
+    }
+
+    #[test]
+    fn thesis_gives_the_doubles_pwm_in_random_runs() {
+        for seed in 0..8 {
+            let mut pcg = Pcg(seed);
+            let mut error = 0;
+            // A walk with rare jumps: what a tracking error looks like, with every saturation and sign in it.
+            let (ticks, different, largest) = differences((0..100_000).map(|_| {
+                error = if pcg.next() % 500 == 0 {
+                    pcg.within(-90, 90)
+                } else {
+                    (error + pcg.within(-1, 1)).clamp(-60, 60)
+                };
+                error
+            }));
+            std::println!("walk seed {seed}: {different} of {ticks} ticks differ, by at most {largest} step");
+            assert!(different * 1000 <= ticks && largest <= 1, "seed {seed}: {different} of {ticks}, by {largest}");
+        }
+    }
+
+    #[test]
+    fn thesis_gives_the_doubles_pwm_where_truncation_ties() {
+        for seed in 0..8 {
+            let mut pcg = Pcg(seed);
+            // Multiples of ten, mostly negative so that the integral stays clamped at zero, held for a few ticks.
+            let mut error = 0;
+            let (ticks, different, largest) = differences((0..100_000).map(|tick| {
+                if tick % 4 == 0 {
+                    error = 10 * pcg.within(-3, 1);
+                }
+                error
+            }));
+            std::println!("tie seed {seed}: {different} of {ticks} ticks differ, by at most {largest} step");
+            assert!(different * 1000 <= ticks && largest <= 1, "seed {seed}: {different} of {ticks}, by {largest}");
+        }
+    }
+
+    #[test]
+    fn thesis_leaves_a_thirty_second_on_at_rest() {
+        let out = step(&thesis(), &mut State::REST.clone(), Inputs::default());
+        assert_eq!((out.on_steps, out.direction), (1, Direction::Ccw));
+    }
+
+    #[test]
+    fn default_is_truly_off_at_rest_and_keeps_its_direction() {
+        let config = Config::try_from(ConfigSpec::DEFAULT).unwrap();
+        let mut state = State { direction: Direction::Cw, ..State::REST };
+        let out = step(&config, &mut state, Inputs::default());
+        assert_eq!((out.on_steps, out.direction, out.u), (0, Direction::Cw, 0));
+    }
+
+    #[test]
+    fn default_does_not_wind_up_while_saturated() {
+        let config = Config::try_from(ConfigSpec::DEFAULT).unwrap();
+        let mut state = State::REST;
+        for _ in 0..10_000 {
+            step(&config, &mut state, Inputs { target: 1000, target_rate: 0, position: 0 });
+        }
+        assert_eq!(state.integral, 0);
+    }
+
+    #[test]
+    fn specs_that_could_overflow_are_refused() {
+        let with = |change: fn(&mut ConfigSpec)| {
+            let mut spec = ConfigSpec::THESIS;
+            change(&mut spec);
+            Config::try_from(spec).map(|_| ())
+        };
+        assert_eq!(with(|s| s.kp = I32F32::lit("1024")), Err(ConfigError::Gain(GainName::Kp)));
+        assert_eq!(with(|s| s.kd_tick = I32F32::MIN), Err(ConfigError::Gain(GainName::Kd)));
+        assert_eq!(with(|s| s.feed_forward = I32F32::MAX), Err(ConfigError::Gain(GainName::FeedForward)));
+        assert_eq!(with(|s| s.ki_tick = I16F48::MIN), Err(ConfigError::Gain(GainName::Ki)));
+        assert_eq!(with(|s| s.integral_min = 1), Err(ConfigError::IntegralLimits));
+        assert_eq!(with(|s| s.integral_max = -1), Err(ConfigError::IntegralLimits));
+        assert_eq!(with(|s| s.ki_tick = I16F48::lit("1000")), Err(ConfigError::IntegralLimits));
+        assert_eq!(with(|s| s.period_us = 99), Err(ConfigError::Period(99)));
+        assert_eq!(with(|s| s.period_us = 10_001), Err(ConfigError::Period(10_001)));
+        assert_eq!(with(|s| s.duty_steps = 1), Err(ConfigError::DutySteps(1)));
+        assert_eq!(with(|s| s.duty_steps = 32_769), Err(ConfigError::DutySteps(32_769)));
+        assert_eq!(with(|s| (s.period_us, s.duty_steps) = (100, 2)), Ok(()));
+        assert_eq!(with(|s| (s.period_us, s.duty_steps) = (10_000, 32_768)), Ok(()));
+    }
+
+    prop_compose! {
+        fn any_spec()(
+            kp in any::<i64>(), ki in any::<i64>(), kd in any::<i64>(), ff in any::<i64>(),
+            shift in 0u32..40, integral_min in i32::MIN..=0, integral_max in 0..=i32::MAX,
+            duty_steps in 2u16..=32_768, truncated in any::<bool>(), dead_band_counts in any::<u16>(),
+            conditional_integration in any::<bool>(),
+        ) -> ConfigSpec {
+            ConfigSpec {
+                kp: I32F32::from_bits(kp >> shift.max(22)), ki_tick: I16F48::from_bits(ki >> shift.max(6)),
+                kd_tick: I32F32::from_bits(kd >> shift.max(22)), feed_forward: I32F32::from_bits(ff >> shift.max(22)),
+                integral_min, integral_max, period_us: 500, duty_steps,
+                law: if truncated { DriveLaw::ActiveLowTruncated } else { DriveLaw::OnTimeRounded },
+                dead_band_counts, conditional_integration,
+            }
+        }
+    }
+
+    proptest! {
+        /// Fails if any operation of the step can overflow (debug assertions are on) or leave its range.
+        #[test]
+        fn no_input_overflows(
+            spec in any_spec(),
+            state in (any::<i32>(), any::<i32>(), any::<bool>()),
+            inputs in proptest::collection::vec((any::<i32>(), any::<i32>(), any::<i32>()), 1..20),
+        ) {
+            if let Ok(config) = Config::try_from(spec) {
+                let mut state =
+                    State { integral: state.0, previous_error: state.1, direction: Direction::from_pin(state.2) };
+                for (target, target_rate, position) in inputs {
+                    let out = step(&config, &mut state, Inputs { target, target_rate, position });
+                    prop_assert!(out.on_steps <= spec.duty_steps);
+                    prop_assert!((spec.integral_min..=spec.integral_max).contains(&state.integral) || out.on_steps == 0
+                        || spec.conditional_integration);
+                }
+            }
+        }
+
+        /// The thesis's step against doubles over the full range: the same PWM value, never more than one step away.
+        #[test]
+        fn thesis_never_differs_by_more_than_a_step(errors in proptest::collection::vec(any::<i32>(), 1..50)) {
+            let (_, _, largest) = differences(errors.into_iter());
+            prop_assert!(largest <= 1);
+        }
+
+        /// The default law is odd: mirrored inputs give the mirrored drive.
+        #[test]
+        fn default_is_symmetric(targets in proptest::collection::vec((-200..200i32, -300..300i32), 1..200)) {
+            let config = Config::try_from(ConfigSpec::DEFAULT).unwrap();
+            let (mut a, mut b) = (State::REST, State { direction: Direction::Cw, ..State::REST });
+            for (target, target_rate) in targets {
+                let x = step(&config, &mut a, Inputs { target, target_rate, position: 0 });
+                let y = step(&config, &mut b, Inputs { target: -target, target_rate: -target_rate, position: 0 });
+                prop_assert_eq!(x.on_steps, y.on_steps);
+                prop_assert!(x.on_steps == 0 || x.direction != y.direction);
+                prop_assert_eq!(a.integral, -b.integral);
+            }
+        }
+    }
+}
