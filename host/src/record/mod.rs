@@ -1,3 +1,5 @@
 //! Recordings and measurement folders: store, import, export.
 
+pub mod check;
+pub mod convert;
 pub mod measurement;
