@@ -1,0 +1,195 @@
+use crate::queues::{TickRecord, TransmitEnds, WordRecord};
+use crate::shared::{Event, Shared};
+use embassy_time::{Duration, Instant, Timer};
+use embedded_io_async::Write;
+use heapless::{String, Vec};
+use twum_shared::Fault;
+use twum_shared::encoder::Edge;
+use twum_shared::frame::{self, Header, MAX_ENCODED};
+use twum_shared::message::{
+    BLOCK_EDGES, BLOCK_SAMPLES, BitsBlock, ControlBlock, DeviceMessage, EdgesBlock, Identity, Mode, ResetCause, Status,
+};
+
+/// The queues are looked at this often.
+const TURN_MS: u64 = 2;
+/// A block that is not full goes out after this many turns.
+const PATIENCE_TURNS: u8 = 25;
+/// Words in a block before it goes out.
+const WORDS_PER_BLOCK: usize = 8;
+
+/// What the board is, for the answer to a hello.
+#[derive(Clone, Debug)]
+pub struct About {
+    /// Firmware version.
+    pub firmware: String<24>,
+    /// Chip name, or `simulated`.
+    pub chip: String<16>,
+    /// Why the board last started.
+    pub reset: ResetCause,
+}
+
+/// Sends everything the board has to say, for ever. The only owner of the link's transmission.
+pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about: About, port: W) {
+    let mut transmitter = Transmitter { shared, port, sequence: 0 };
+    // Ends whatever a boot loader wrote, so that our first frame stands alone.
+    let _ = transmitter.port.write_all(&[0]).await;
+    let mut collector = Collector { queues, pending: None, edges_sent: 0, patience: PATIENCE_TURNS };
+    let mut latest: Option<Status> = None;
+    let mut lost_seen = 0;
+    loop {
+        while let Ok(event) = shared.events.try_receive() {
+            let message = describe(event, &about, latest);
+            transmitter.send(message).await;
+        }
+        let lost = shared.lost_items();
+        if lost != lost_seen {
+            // What was lost never became a frame; the gap in the sequence says so all the same.
+            transmitter.sequence = transmitter.sequence.wrapping_add(1);
+            lost_seen = lost;
+        }
+        while let Some(message) = collector.next_block(shared) {
+            transmitter.send(message).await;
+        }
+        if let Some(status) = shared.status.try_take() {
+            latest = Some(status);
+            transmitter.send(DeviceMessage::Status(status)).await;
+        }
+        shared.transmit_turned();
+        Timer::after(Duration::from_millis(TURN_MS)).await;
+    }
+}
+
+fn describe(event: Event, about: &About, latest: Option<Status>) -> DeviceMessage {
+    match event {
+        Event::Hello => DeviceMessage::Hello(Identity {
+            firmware: about.firmware.clone(),
+            chip: about.chip.clone(),
+            reset: about.reset,
+            mode: latest.map_or(Mode::Idle, |status| status.mode),
+            fault: latest.map_or(boot_fault(about.reset), |status| status.fault),
+        }),
+        Event::Ack(of) => DeviceMessage::Ack { of },
+        Event::Nack(of, reason) => DeviceMessage::Nack { of, reason },
+        Event::Configured(configuration) => DeviceMessage::Configured(configuration),
+        Event::Aligned => DeviceMessage::Aligned,
+        Event::RunStarted(start_us) => DeviceMessage::RunStarted { start_us },
+        Event::RunEnded(end, end_us) => DeviceMessage::RunEnded { end, end_us },
+        Event::Fault(report) => DeviceMessage::Fault(report),
+        Event::DriverReply(bytes) => DeviceMessage::DriverReply(bytes),
+        Event::DriverDone => DeviceMessage::DriverDone,
+        Event::Log(line) => DeviceMessage::Log(line),
+    }
+}
+
+fn boot_fault(reset: ResetCause) -> Option<Fault> {
+    match reset {
+        ResetCause::Watchdog => Some(Fault::BootFromWatchdog),
+        ResetCause::Panic => Some(Fault::BootFromPanic),
+        _ => None,
+    }
+}
+
+struct Transmitter<'a, W> {
+    shared: &'a Shared,
+    port: W,
+    sequence: u32,
+}
+
+impl<W: Write> Transmitter<'_, W> {
+    async fn send(&mut self, message: DeviceMessage) {
+        let header = Header { sequence: self.sequence, time_us: Instant::now().as_micros() };
+        self.sequence = self.sequence.wrapping_add(1);
+        let mut buffer = [0u8; MAX_ENCODED];
+        let sent = match frame::encode(header, &message, &mut buffer) {
+            Ok(bytes) => self.port.write_all(bytes).await.is_ok(),
+            Err(frame::TooLong) => false,
+        };
+        if !sent {
+            self.shared.lose_sample();
+        }
+    }
+}
+
+/// Makes blocks of what the interrupts queue.
+struct Collector<'a> {
+    queues: TransmitEnds<'a>,
+    pending: Option<TickRecord>,
+    edges_sent: u64,
+    patience: u8,
+}
+
+impl Collector<'_> {
+    /// The next block that is full or has waited long enough.
+    fn next_block(&mut self, shared: &Shared) -> Option<DeviceMessage> {
+        if self.queues.ticks.len() >= BLOCK_SAMPLES {
+            return self.control_block().map(DeviceMessage::Control);
+        }
+        if self.queues.words.len() >= WORDS_PER_BLOCK {
+            return self.bits_block().map(DeviceMessage::Bits);
+        }
+        if self.queues.edges.len() >= BLOCK_EDGES {
+            return self.edges_block(shared).map(DeviceMessage::Edges);
+        }
+        self.patience = self.patience.saturating_sub(1);
+        if self.patience > 0 {
+            return None;
+        }
+        let rest = self
+            .control_block()
+            .map(DeviceMessage::Control)
+            .or_else(|| self.bits_block().map(DeviceMessage::Bits))
+            .or_else(|| self.edges_block(shared).map(DeviceMessage::Edges));
+        // Called once more after the last rest, so the patience only returns when nothing is left.
+        self.patience = if rest.is_some() { 1 } else { PATIENCE_TURNS };
+        rest
+    }
+
+    fn control_block(&mut self) -> Option<ControlBlock> {
+        let first = self.pending.take().or_else(|| self.queues.ticks.dequeue())?;
+        let mut samples = Vec::new();
+        let _ = samples.push(first.sample);
+        let mut tick = first.tick;
+        while samples.len() < BLOCK_SAMPLES {
+            let Some(record) = self.queues.ticks.dequeue() else { break };
+            if record.tick != tick + 1 {
+                // A block holds consecutive ticks: what follows a gap, or starts a run, opens the next one.
+                self.pending = Some(record);
+                break;
+            }
+            tick = record.tick;
+            let _ = samples.push(record.sample);
+        }
+        Some(ControlBlock { first_tick: first.tick, first_us: first.due_us, state: first.state, samples })
+    }
+
+    fn bits_block(&mut self) -> Option<BitsBlock> {
+        let WordRecord { first_sample, first_us, samples, word } = self.queues.words.dequeue()?;
+        let mut block = BitsBlock { first_sample, first_us, samples: u16::from(samples), words: Vec::new() };
+        let _ = block.words.push(word);
+        while block.words.len() < WORDS_PER_BLOCK && block.samples.is_multiple_of(32) {
+            let follows = |record: &WordRecord| record.first_sample == first_sample + u64::from(block.samples);
+            if !self.queues.words.peek().is_some_and(follows) {
+                break;
+            }
+            let Some(record) = self.queues.words.dequeue() else { break };
+            block.samples += u16::from(record.samples);
+            let _ = block.words.push(record.word);
+        }
+        Some(block)
+    }
+
+    fn edges_block(&mut self, shared: &Shared) -> Option<EdgesBlock> {
+        let first = self.queues.edges.dequeue()?;
+        let mut edges: Vec<Edge, BLOCK_EDGES> = Vec::new();
+        let _ = edges.push(first);
+        while let Some(edge) = self.queues.edges.peek() {
+            if edges.push(*edge).is_err() {
+                break;
+            }
+            let _ = self.queues.edges.dequeue();
+        }
+        let first_edge = self.edges_sent.wrapping_add(u64::from(shared.lost_edges()));
+        self.edges_sent = self.edges_sent.wrapping_add(edges.len() as u64);
+        Some(EdgesBlock { first_edge, edges })
+    }
+}

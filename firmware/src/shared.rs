@@ -1,0 +1,229 @@
+//! What interrupts and tasks share: the encoder, commands, events, requests and counters. All of it is either atomic or
+//! guarded by a short critical section.
+
+use crate::encoder::Encoder;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use embassy_sync::signal::Signal;
+use heapless::String;
+use portable_atomic::{AtomicU8, AtomicU32, Ordering};
+use twum_shared::Fault;
+use twum_shared::alignment::Failure;
+use twum_shared::message::{
+    CaptureMode, Configuration, FaultReport, Mode, Refusal, RunEnd, SpeedRun, Status, TrackRun,
+};
+
+/// What the control interrupt is told.
+#[derive(Clone, Debug)]
+pub enum Command {
+    /// A host's command and the sequence of its frame.
+    Host(u32, Request),
+    /// The alignment routine of this errand ended.
+    AlignEnded(u32, Result<(), Failure>),
+    /// The driver's text command of this errand ended.
+    PassthroughEnded(u32),
+}
+
+/// Host commands the control interrupt decides on.
+#[derive(Clone, Debug)]
+pub enum Request {
+    /// Set the configuration.
+    Configure(Configuration),
+    /// Align.
+    Align,
+    /// Allow runs.
+    Arm,
+    /// Run at constant duty.
+    Speed(SpeedRun),
+    /// Track a reference.
+    Track(TrackRun),
+    /// Choose the capture streams.
+    Capture(CaptureMode),
+    /// Pass a line to the driver board.
+    Driver(String<64>),
+    /// Stop and clear.
+    Stop,
+    /// Restart the device.
+    Reboot,
+}
+
+/// What the control interrupt tells the host, through the transmit task.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A hello came; answer with who we are.
+    Hello,
+    /// Command taken.
+    Ack(u32),
+    /// Command refused.
+    Nack(u32, Refusal),
+    /// The configuration in force.
+    Configured(Configuration),
+    /// Aligned.
+    Aligned,
+    /// A run began.
+    RunStarted(u64),
+    /// A run ended.
+    RunEnded(RunEnd, u64),
+    /// A fault latched.
+    Fault(FaultReport),
+    /// A piece of the driver's reply.
+    DriverReply(heapless::Vec<u8, 64>),
+    /// The driver's command is over.
+    DriverDone,
+    /// A line for people.
+    Log(String<96>),
+}
+
+/// What the driver task is asked to do, under the errand it was given.
+#[derive(Clone, Debug)]
+pub struct Errand {
+    /// Stopping starts a new errand number, which is how the task learns that this one is over.
+    pub number: u32,
+    /// What to do.
+    pub request: DriverRequest,
+}
+
+/// What the driver task can do.
+#[derive(Clone, Debug)]
+pub enum DriverRequest {
+    /// Run the alignment routine.
+    Align,
+    /// Pass this line on and report until the motor stands.
+    Passthrough(String<64>),
+}
+
+/// Shared by every interrupt and task of one board.
+pub struct Shared {
+    /// The encoder.
+    pub encoder: Encoder,
+    pub(crate) commands: Channel<CriticalSectionRawMutex, Command, 8>,
+    pub(crate) events: Channel<CriticalSectionRawMutex, Event, 24>,
+    pub(crate) driver: Signal<CriticalSectionRawMutex, Errand>,
+    pub(crate) status: Signal<CriticalSectionRawMutex, Status>,
+    /// Signalled when the board is to restart itself; the motor is already off.
+    pub reboot: Signal<CriticalSectionRawMutex, ()>,
+    requested_fault: AtomicU8,
+    errand: AtomicU32,
+    host_frames: AtomicU32,
+    bad_frames: AtomicU32,
+    ticks: AtomicU32,
+    transmitted: AtomicU32,
+    lost_samples: AtomicU32,
+    lost_edges: AtomicU32,
+}
+
+impl Default for Shared {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Shared {
+    /// Nothing happened yet.
+    pub const fn new() -> Self {
+        Self {
+            encoder: Encoder::new(),
+            commands: Channel::new(),
+            events: Channel::new(),
+            driver: Signal::new(),
+            status: Signal::new(),
+            reboot: Signal::new(),
+            requested_fault: AtomicU8::new(0),
+            errand: AtomicU32::new(0),
+            host_frames: AtomicU32::new(0),
+            bad_frames: AtomicU32::new(0),
+            ticks: AtomicU32::new(0),
+            transmitted: AtomicU32::new(0),
+            lost_samples: AtomicU32::new(0),
+            lost_edges: AtomicU32::new(0),
+        }
+    }
+
+    /// Asks the control interrupt to latch a fault at its next tick. The first request since then wins.
+    pub fn request_fault(&self, fault: Fault) {
+        // A lost race means another fault is already requested, which stops the motor just as well.
+        let _ = self.requested_fault.compare_exchange(0, fault.code(), Ordering::AcqRel, Ordering::Relaxed);
+    }
+
+    pub(crate) fn take_requested_fault(&self) -> Option<Fault> {
+        if self.requested_fault.load(Ordering::Relaxed) == 0 {
+            return None;
+        }
+        Fault::from_code(self.requested_fault.swap(0, Ordering::AcqRel))
+    }
+
+    /// Tells the host, or counts the loss where the queue is full: an event is never waited for.
+    pub(crate) fn tell(&self, event: Event) {
+        if self.events.try_send(event).is_err() {
+            self.request_fault(Fault::QueueOverflow);
+            self.lost_samples.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    pub(crate) fn errand(&self) -> u32 {
+        self.errand.load(Ordering::Acquire)
+    }
+
+    /// Ends the driver task's errand, whether it has begun or not.
+    pub(crate) fn end_errand(&self) {
+        self.driver.reset();
+        self.errand.fetch_add(1, Ordering::AcqRel);
+    }
+
+    pub(crate) fn begin_errand(&self, request: DriverRequest) {
+        self.driver.signal(Errand { number: self.errand(), request });
+    }
+
+    pub(crate) fn host_spoke(&self) {
+        self.host_frames.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn host_frames(&self) -> u32 {
+        self.host_frames.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn bad_frame(&self) {
+        self.bad_frames.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn bad_frames(&self) -> u32 {
+        self.bad_frames.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn ticked(&self) {
+        self.ticks.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn ticks(&self) -> u32 {
+        self.ticks.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn transmit_turned(&self) {
+        self.transmitted.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn transmit_turns(&self) -> u32 {
+        self.transmitted.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn lose_sample(&self) {
+        self.lost_samples.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn lose_edge(&self) {
+        self.lost_edges.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn lost_edges(&self) -> u32 {
+        self.lost_edges.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn lost_items(&self) -> u32 {
+        self.lost_samples.load(Ordering::Relaxed).wrapping_add(self.lost_edges())
+    }
+
+    /// Whether a mode lets the motor move in hardware mode.
+    pub(crate) const fn is_live(mode: Mode) -> bool {
+        matches!(mode, Mode::Armed | Mode::Running)
+    }
+}
