@@ -3,3 +3,4 @@
 pub mod check;
 pub mod convert;
 pub mod measurement;
+pub mod store;

@@ -1,0 +1,364 @@
+use super::writer::{CHANNEL_DEVICE, CHANNEL_HOST, CHANNEL_RECORDER};
+use super::{MAX_RECORD, METADATA_NAME, Metadata, Sender, StoreError, TOPIC_DEVICE, TOPIC_HOST, TOPIC_RECORDER};
+use mcap::McapError;
+use mcap::records::{MessageHeader, Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// Bytes asked for at once.
+const READ_AHEAD: usize = 1 << 16;
+/// Opcode and length of a record.
+const RECORD_HEAD: usize = 9;
+/// Channel, sequence, log time and publish time of a message record.
+const MESSAGE_HEAD: usize = 22;
+
+/// More records than any hole in a file holds.
+const MAX_MISSING: u32 = 1 << 24;
+
+/// One thing a recording holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Entry<'a> {
+    /// A frame as it was on the line.
+    Frame {
+        /// Who sent it.
+        sender: Sender,
+        /// Host time in ns from the start of the recording.
+        host_time_ns: u64,
+        /// The bytes, separator included.
+        bytes: &'a [u8],
+    },
+    /// A remark of the recorder.
+    Remark {
+        /// Host time in ns from the start of the recording.
+        host_time_ns: u64,
+        /// The remark, `{"event": "..."}`.
+        json: &'a str,
+    },
+}
+
+/// How a file ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Ending {
+    /// Reading has not come to the end.
+    #[default]
+    Unread,
+    /// With its summary: the recorder finished.
+    Finished,
+    /// Without: the recorder was stopped, or still runs.
+    Stopped,
+}
+
+/// What state a recording's file is in, as far as it was read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+pub struct Integrity {
+    /// Frames read.
+    pub frames: u64,
+    /// Places where the file was damaged and reading went on behind.
+    pub damaged_places: u64,
+    /// Bytes that could not be read there.
+    pub skipped_bytes: u64,
+    /// Records that are missing by their sequence.
+    pub missing_records: u64,
+    /// Whether the checksum over the whole file was there and did not match.
+    pub checksum_mismatch: bool,
+    /// How the file ended.
+    pub ending: Ending,
+}
+
+impl Integrity {
+    /// Whether every record that was written was read.
+    pub fn is_whole(&self) -> bool {
+        self.damaged_places == 0 && self.missing_records == 0 && !self.checksum_mismatch
+    }
+}
+
+/// Reads a recording from its beginning to its last whole frame, over damaged places. Memory is bounded by one record.
+pub struct Reader {
+    path: PathBuf,
+    file: File,
+    records: LinearReader,
+    metadata: Metadata,
+    /// Where the next record starts.
+    position: u64,
+    /// Where the record last read started.
+    previous: u64,
+    /// Sequence the next message should have.
+    expected: Option<u32>,
+    channels: BTreeMap<u16, Channel>,
+    integrity: Integrity,
+    /// The record last read, without its opcode and length.
+    current: Vec<u8>,
+    ended: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Channel {
+    Frames(Sender),
+    Remarks,
+}
+
+/// What a record turned out to be.
+enum Step {
+    Message {
+        channel: Channel,
+        log_time: u64,
+    },
+    Other,
+    /// Reading goes on at the first message record at or behind `from` other than the one at `except`.
+    Damage {
+        from: u64,
+        except: Option<u64>,
+    },
+    End,
+}
+
+impl std::fmt::Debug for Reader {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Reader").field("path", &self.path).field("position", &self.position).finish_non_exhaustive()
+    }
+}
+
+impl Reader {
+    /// Opens a recording and reads its metadata.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or is not a recording.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
+        let path = path.as_ref();
+        let file = File::open(path).map_err(|reason| StoreError::io(path, reason))?;
+        let length = file.metadata().map_err(|reason| StoreError::io(path, reason))?;
+        if !length.is_file() {
+            return Err(StoreError::not(path, "not a regular file"));
+        }
+        if length.len() == 0 {
+            return Err(StoreError::not(path, "the file is empty: the recorder was stopped before its first frame"));
+        }
+        let options = LinearReaderOptions::default().with_validate_data_section_crc(true);
+        let mut reader = Self {
+            path: path.to_owned(),
+            file,
+            records: LinearReader::new_with_options(bounded(options)),
+            metadata: Metadata::now(),
+            position: mcap::MAGIC.len() as u64,
+            previous: 0,
+            expected: None,
+            channels: BTreeMap::from([
+                (CHANNEL_DEVICE, Channel::Frames(Sender::Device)),
+                (CHANNEL_HOST, Channel::Frames(Sender::Host)),
+                (CHANNEL_RECORDER, Channel::Remarks),
+            ]),
+            integrity: Integrity::default(),
+            current: Vec::new(),
+            ended: false,
+        };
+        reader.metadata = reader.read_metadata()?;
+        Ok(reader)
+    }
+
+    /// What the recording says about itself.
+    pub fn metadata(&self) -> &Metadata {
+        &self.metadata
+    }
+
+    /// The state of the file as far as it was read; complete once [`Self::next_entry`] has returned `None`.
+    pub fn integrity(&self) -> Integrity {
+        self.integrity
+    }
+
+    /// The next frame or remark, `None` at the end.
+    ///
+    /// # Errors
+    /// When the system refuses to read. Damage is not an error: it is skipped and counted.
+    pub fn next_entry(&mut self) -> Result<Option<Entry<'_>>, StoreError> {
+        while !self.ended {
+            match self.step()? {
+                Step::Message { channel, log_time } => {
+                    let host_time_ns = log_time.saturating_sub(self.metadata.start_ns);
+                    let entry = match channel {
+                        Channel::Frames(sender) => {
+                            self.integrity.frames += 1;
+                            Entry::Frame { sender, host_time_ns, bytes: &self.current[MESSAGE_HEAD..] }
+                        }
+                        Channel::Remarks => Entry::Remark {
+                            host_time_ns,
+                            json: std::str::from_utf8(&self.current[MESSAGE_HEAD..]).unwrap_or_default(),
+                        },
+                    };
+                    return Ok(Some(entry));
+                }
+                Step::Other => {}
+                Step::Damage { from, except } => self.resume(from, except)?,
+                Step::End => self.ended = true,
+            }
+        }
+        Ok(None)
+    }
+
+    fn read_metadata(&mut self) -> Result<Metadata, StoreError> {
+        loop {
+            match self.next_record()? {
+                Some(Ok(opcode)) => match mcap::parse_record(opcode, &self.current) {
+                    Ok(Record::Header(_)) => {}
+                    Ok(Record::Metadata(record)) if record.name == METADATA_NAME => {
+                        return Metadata::from_map(record.metadata).map_err(|what| StoreError::not(&self.path, what));
+                    }
+                    _ => return Err(StoreError::not(&self.path, "an MCAP file that twum did not record")),
+                },
+                Some(Err(McapError::BadMagic)) => return Err(StoreError::not(&self.path, "not an MCAP file")),
+                Some(Err(_)) | None => {
+                    return Err(StoreError::not(&self.path, "its beginning is cut off or damaged"));
+                }
+            }
+        }
+    }
+
+    fn step(&mut self) -> Result<Step, StoreError> {
+        let failed_at = self.position;
+        // The record before may be the damaged one, and a wrong length of it may have hidden others.
+        let unreadable = Step::Damage { from: self.previous + 1, except: Some(failed_at) };
+        let opcode = match self.next_record()? {
+            Some(Ok(opcode)) => opcode,
+            Some(Err(McapError::UnexpectedEof)) => {
+                // Cut off, unless a damaged length made a record swallow the rest of the file.
+                let swallowed = self.find_message(failed_at + 1, None)?.is_some();
+                return Ok(if swallowed { unreadable } else { self.end(Ending::Stopped) });
+            }
+            Some(Err(McapError::BadDataCrc { .. })) => {
+                self.integrity.checksum_mismatch = true;
+                return Ok(self.end(Ending::Finished));
+            }
+            Some(Err(_)) => return Ok(unreadable),
+            None => return Ok(self.end(Ending::Stopped)),
+        };
+        Ok(match opcode {
+            op::MESSAGE => match message(&self.current, &self.channels) {
+                Some((channel, header)) => {
+                    self.count_missing(header.sequence);
+                    Step::Message { channel, log_time: header.log_time }
+                }
+                None => Step::Damage { from: failed_at + 1, except: None },
+            },
+            op::CHANNEL => {
+                if let Ok(Record::Channel(record)) = mcap::parse_record(opcode, &self.current) {
+                    let channel = match record.topic.as_str() {
+                        TOPIC_DEVICE => Some(Channel::Frames(Sender::Device)),
+                        TOPIC_HOST => Some(Channel::Frames(Sender::Host)),
+                        TOPIC_RECORDER => Some(Channel::Remarks),
+                        _ => None,
+                    };
+                    self.channels.extend(channel.map(|channel| (record.id, channel)));
+                }
+                Step::Other
+            }
+            op::CHUNK => {
+                return Err(StoreError::not(
+                    &self.path,
+                    "another program has rewritten it in chunks: give the file that twum recorded",
+                ));
+            }
+            op::DATA_END => self.end(Ending::Finished),
+            op::HEADER..=op::DATA_END => Step::Other,
+            _ => unreadable,
+        })
+    }
+
+    /// Brings the next record into `current`; gives its opcode, the container's own error, or `None` at the end.
+    fn next_record(&mut self) -> Result<Option<Result<u8, McapError>>, StoreError> {
+        loop {
+            let wanted = match self.records.next_event() {
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => wanted.max(READ_AHEAD),
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => {
+                    self.current.clear();
+                    self.current.extend_from_slice(data);
+                    self.previous = self.position;
+                    self.position += (RECORD_HEAD + data.len()) as u64;
+                    return Ok(Some(Ok(opcode)));
+                }
+                Some(Err(error)) => return Ok(Some(Err(error))),
+                None => return Ok(None),
+            };
+            let read =
+                self.file.read(self.records.insert(wanted)).map_err(|reason| StoreError::io(&self.path, reason))?;
+            self.records.notify_read(read);
+        }
+    }
+
+    fn count_missing(&mut self, sequence: u32) {
+        match sequence.wrapping_sub(self.expected.unwrap_or(0)) {
+            missing @ 0..MAX_MISSING => self.integrity.missing_records += u64::from(missing),
+            // No hole is as large: the number itself is damaged.
+            _ => self.integrity.damaged_places += 1,
+        }
+        self.expected = Some(sequence.wrapping_add(1));
+    }
+
+    fn end(&mut self, ending: Ending) -> Step {
+        self.integrity.ending = ending;
+        Step::End
+    }
+
+    fn resume(&mut self, from: u64, except: Option<u64>) -> Result<(), StoreError> {
+        self.integrity.damaged_places += 1;
+        match self.find_message(from, except)? {
+            Some(start) => {
+                self.integrity.skipped_bytes += start.saturating_sub(from);
+                self.file.seek(SeekFrom::Start(start)).map_err(|reason| StoreError::io(&self.path, reason))?;
+                let options = LinearReaderOptions::default().with_skip_start_magic(true);
+                self.records = LinearReader::new_with_options(bounded(options));
+                (self.position, self.previous) = (start, start);
+            }
+            None => {
+                self.integrity.ending = Ending::Stopped;
+                self.ended = true;
+            }
+        }
+        Ok(())
+    }
+
+    /// Where the next plausible message record starts, from `from` on. Its two equal times and its known channel make a
+    /// false one as good as impossible.
+    fn find_message(&mut self, from: u64, except: Option<u64>) -> Result<Option<u64>, StoreError> {
+        let io_error = |reason| StoreError::io(&self.path, reason);
+        self.file.seek(SeekFrom::Start(from)).map_err(io_error)?;
+        let mut window = Vec::with_capacity(2 * READ_AHEAD);
+        let mut window_start = from;
+        loop {
+            let read = (&mut self.file).take(READ_AHEAD as u64).read_to_end(&mut window).map_err(io_error)?;
+            let head = RECORD_HEAD + MESSAGE_HEAD;
+            for (offset, bytes) in window.windows(head).enumerate() {
+                let length = u64::from_le_bytes(bytes[1..9].try_into().expect("8 bytes"));
+                let plausible = bytes[0] == op::MESSAGE
+                    && (MESSAGE_HEAD as u64..=MAX_RECORD as u64).contains(&length)
+                    && self.channels.contains_key(&u16::from_le_bytes([bytes[9], bytes[10]]))
+                    && bytes[15..23] == bytes[23..31]
+                    && Some(window_start + offset as u64) != except;
+                if plausible {
+                    return Ok(Some(window_start + offset as u64));
+                }
+            }
+            if read == 0 {
+                return Ok(None);
+            }
+            let keep = window.len().min(head - 1);
+            window_start += (window.len() - keep) as u64;
+            window.drain(..window.len() - keep);
+        }
+    }
+}
+
+fn bounded(options: LinearReaderOptions) -> LinearReaderOptions {
+    options.with_skip_end_magic(true).with_emit_chunks(true).with_record_length_limit(MAX_RECORD)
+}
+
+/// The channel and header of a message record, if it is one of ours.
+fn message(data: &[u8], channels: &BTreeMap<u16, Channel>) -> Option<(Channel, MessageHeader)> {
+    let Ok(Record::Message { header, data }) = mcap::parse_record(op::MESSAGE, data) else { return None };
+    let channel = *channels.get(&header.channel_id)?;
+    let (_, before_last) = data.split_last()?;
+    let one_frame = channel == Channel::Remarks || !before_last.contains(&0);
+    (header.log_time == header.publish_time && one_frame).then_some((channel, header))
+}
