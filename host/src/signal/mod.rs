@@ -1,1 +1,59 @@
-//! From encoder edges to position, speed and spectra.
+//! From the encoder line to position and speed.
+//!
+//! [`edges`] turns samples or timestamps into crossings of known angles and the interval each crossing is known to lie
+//! in. [`smoother`] is the estimator to use: it takes those intervals as they are, adapts to how fast the speed changes
+//! and says how sure it is. [`thesis`] is the thesis's method, kept to reproduce its figures; [`window`] is one fixed
+//! window, the yardstick for both. [`spectrum`] shows what repeats in time and in angle. `docs/signals.md` compares them.
+
+pub mod edges;
+pub mod filters;
+pub mod spline;
+pub mod thesis;
+
+/// Revolutions a minute in a radian a second.
+pub const RAD_S_TO_RPM: f64 = 30.0 / std::f64::consts::PI;
+
+/// Why a signal could not be estimated.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SignalError {
+    /// A filter's corner lies outside what its sampling rate allows.
+    #[error(
+        "a corner of {cutoff_hz} Hz cannot be filtered at {sample_rate_hz} samples/s: take one above 0 and below half of that"
+    )]
+    Cutoff {
+        /// Corner asked for, in Hz.
+        cutoff_hz: f64,
+        /// Sampling rate, in Hz.
+        sample_rate_hz: f64,
+    },
+    /// A record too short for a method.
+    #[error("{samples} samples are too few for the {stage}: it takes {needed}")]
+    TooShort {
+        /// Samples given.
+        samples: usize,
+        /// Samples needed.
+        needed: usize,
+        /// What needs them.
+        stage: &'static str,
+    },
+    /// A number that must be finite and above zero is not.
+    #[error("{name} is {value}: it must be a finite number above zero")]
+    NotPositive {
+        /// What it is.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// Times that do not increase.
+    #[error("time {time_us} µs (entry {index}) does not come after the one before it")]
+    Time {
+        /// Place in the list, from 0.
+        index: usize,
+        /// The time, in µs.
+        time_us: f64,
+    },
+}
+
+fn check_positive(name: &'static str, value: f64) -> Result<(), SignalError> {
+    if value.is_finite() && value > 0.0 { Ok(()) } else { Err(SignalError::NotPositive { name, value }) }
+}

@@ -1,0 +1,112 @@
+//! Cubic spline through points, the third derivative continuous at the second and second-last point ("not-a-knot").
+
+/// A cubic spline through points of increasing x.
+#[derive(Debug, Clone)]
+pub struct Spline {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    slope: Vec<f64>,
+}
+
+impl Spline {
+    /// The spline through `(x[i], y[i])`: MATLAB's `spline` and `interp1(…, 'spline')`. Two points give a line, three a
+    /// parabola. The slopes solve the usual tridiagonal equations (de Boor, A Practical Guide to Splines, chapter IV).
+    ///
+    /// Returns `None` unless there are two points or more, of strictly increasing finite x.
+    pub fn not_a_knot(x: &[f64], y: &[f64]) -> Option<Self> {
+        let n = x.len();
+        let increasing = x.windows(2).all(|w| w[0] < w[1] && w[1].is_finite());
+        if n < 2 || y.len() != n || !x[0].is_finite() || !increasing {
+            return None;
+        }
+        let h: Vec<f64> = x.windows(2).map(|w| w[1] - w[0]).collect();
+        let d: Vec<f64> = y.windows(2).zip(&h).map(|(w, h)| (w[1] - w[0]) / h).collect();
+        let slope = match n {
+            2 => vec![d[0]; 2],
+            3 => {
+                let curvature = (d[1] - d[0]) / (h[0] + h[1]);
+                vec![d[0] - curvature * h[0], d[0] + curvature * h[0], d[1] + curvature * h[1]]
+            }
+            _ => slopes(&h, &d),
+        };
+        Some(Self { x: x.to_vec(), y: y.to_vec(), slope })
+    }
+
+    /// The spline at times `at` (any order; beyond the ends the outer pieces go on).
+    pub fn values(&self, at: &[f64]) -> Vec<f64> {
+        let last = self.x.len() - 2;
+        let mut i = 0;
+        at.iter()
+            .map(|&t| {
+                if t < self.x[i] {
+                    i = self.x.partition_point(|x| *x <= t).saturating_sub(1).min(last);
+                }
+                while i < last && t >= self.x[i + 1] {
+                    i += 1;
+                }
+                let (h, u) = (self.x[i + 1] - self.x[i], t - self.x[i]);
+                let d = (self.y[i + 1] - self.y[i]) / h;
+                let c2 = (3.0 * d - 2.0 * self.slope[i] - self.slope[i + 1]) / h;
+                let c3 = (self.slope[i] + self.slope[i + 1] - 2.0 * d) / (h * h);
+                self.y[i] + u * (self.slope[i] + u * (c2 + u * c3))
+            })
+            .collect()
+    }
+}
+
+/// Slopes at `n >= 4` points with spacings `h` and divided differences `d`, by Gaussian elimination of the tridiagonal
+/// system.
+fn slopes(h: &[f64], d: &[f64]) -> Vec<f64> {
+    let n = h.len() + 1;
+    let end = |h0: f64, h1: f64, d0: f64, d1: f64| ((3.0 * h0 + 2.0 * h1) * h1 * d0 + h0 * h0 * d1) / (h0 + h1);
+    let mut diagonal = vec![0.0; n];
+    let mut upper = vec![0.0; n - 1];
+    let mut right = vec![0.0; n];
+    (diagonal[0], upper[0], right[0]) = (h[1], h[0] + h[1], end(h[0], h[1], d[0], d[1]));
+    for i in 1..n {
+        let (lower, full, off, value) = if i == n - 1 {
+            let (a, b) = (h[n - 2], h[n - 3]);
+            (a + b, b, 0.0, end(a, b, d[n - 2], d[n - 3]))
+        } else {
+            (h[i], 2.0 * (h[i - 1] + h[i]), h[i - 1], 3.0 * (h[i] * d[i - 1] + h[i - 1] * d[i]))
+        };
+        let factor = lower / diagonal[i - 1];
+        diagonal[i] = full - factor * upper[i - 1];
+        right[i] = value - factor * right[i - 1];
+        if i < n - 1 {
+            upper[i] = off;
+        }
+    }
+    let mut slope = right;
+    slope[n - 1] /= diagonal[n - 1];
+    for i in (0..n - 1).rev() {
+        slope[i] = (slope[i] - upper[i] * slope[i + 1]) / diagonal[i];
+    }
+    slope
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cubic_is_reproduced_and_continued() {
+        let f = |x: f64| 1.0 - 2.0 * x + 0.5 * x * x - 0.1 * x * x * x;
+        let x = [0.0, 0.7, 1.0, 2.5, 2.6, 4.0];
+        let spline = Spline::not_a_knot(&x, &x.map(f)).unwrap();
+        let at = [5.0, -1.0, 0.3, 1.7, 2.55, 4.0];
+        for (v, t) in spline.values(&at).iter().zip(at) {
+            assert!((v - f(t)).abs() < 1e-12, "{t}");
+        }
+    }
+
+    #[test]
+    fn few_points_give_the_polynomial_through_them() {
+        let parabola = Spline::not_a_knot(&[0.0, 1.0, 3.0], &[0.0, 1.0, 9.0]).unwrap();
+        assert!((parabola.values(&[2.0])[0] - 4.0).abs() < 1e-12);
+        assert_eq!(Spline::not_a_knot(&[0.0, 2.0], &[0.0, 1.0]).unwrap().values(&[1.0]), [0.5]);
+        assert!(Spline::not_a_knot(&[0.0], &[0.0]).is_none());
+        assert!(Spline::not_a_knot(&[0.0, 0.0], &[0.0, 1.0]).is_none());
+        assert!(Spline::not_a_knot(&[0.0, f64::NAN], &[0.0, 1.0]).is_none());
+    }
+}
