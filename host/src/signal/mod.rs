@@ -3,12 +3,15 @@
 //! [`edges`] turns samples or timestamps into crossings of known angles and the interval each crossing is known to lie
 //! in. [`smoother`] is the estimator to use: it takes those intervals as they are, adapts to how fast the speed changes
 //! and says how sure it is. [`thesis`] is the thesis's method, kept to reproduce its figures; [`window`] is one fixed
-//! window, the yardstick for both. [`spectrum`] shows what repeats in time and in angle. `docs/signals.md` compares them.
+//! window, the yardstick for both. `docs/signals.md` compares them.
 
 pub mod edges;
 pub mod filters;
+pub mod smoother;
 pub mod spline;
 pub mod thesis;
+pub mod trial;
+pub mod window;
 
 /// Revolutions a minute in a radian a second.
 pub const RAD_S_TO_RPM: f64 = 30.0 / std::f64::consts::PI;
