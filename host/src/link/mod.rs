@@ -1,1 +1,88 @@
 //! How the host reaches a board: serial port, pseudo-terminal, in memory.
+//!
+//! A [`Port`] moves bytes and has a clock; a [`Session`] speaks the protocol over it, keeps count of what was lost, and
+//! writes every frame it sees into a recording.
+
+mod pty;
+mod serial;
+mod session;
+mod simulated;
+
+pub use pty::serve;
+pub use serial::{BAUD, SerialLink};
+pub use session::{Received, RunReport, Session, Tally};
+pub use simulated::SimulatedLink;
+
+use std::time::Duration;
+use thiserror::Error;
+use twum_shared::Fault;
+use twum_shared::frame::PROTOCOL_VERSION;
+use twum_shared::message::Refusal;
+
+/// A byte stream to a board, with the clock that goes with it.
+pub trait Port {
+    /// Sends bytes.
+    ///
+    /// # Errors
+    /// [`LinkError::Lost`] when the port is gone.
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
+
+    /// Appends what has arrived to `into`, waiting up to `wait` for the first byte.
+    ///
+    /// # Errors
+    /// [`LinkError::Lost`] when the port is gone.
+    fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError>;
+
+    /// Time since the port was opened: this computer's, or virtual.
+    fn elapsed(&self) -> Duration;
+
+    /// Whether [`Port::elapsed`] is virtual.
+    fn is_virtual(&self) -> bool;
+}
+
+/// What can go wrong between host and board.
+#[derive(Debug, Error)]
+pub enum LinkError {
+    /// The port could not be opened.
+    #[error("cannot open {port}: {reason}")]
+    Open {
+        /// Its name.
+        port: String,
+        /// Why, and what to do.
+        reason: String,
+    },
+    /// The port went away while it was in use.
+    #[error("lost {port}: {reason}")]
+    Lost {
+        /// Its name.
+        port: String,
+        /// The system's reason.
+        reason: String,
+    },
+    /// Nothing answered.
+    #[error("no answer within {waited_ms} ms: is this the right port, and is the board powered and flashed?")]
+    NoAnswer {
+        /// How long was waited.
+        waited_ms: u64,
+    },
+    /// The device speaks another protocol.
+    #[error("the device speaks protocol version {0}, this program version {PROTOCOL_VERSION}: flash the firmware that belongs to it")]
+    Version(u8),
+    /// A command was refused.
+    #[error("{command} was refused: {reason}")]
+    Refused {
+        /// The command.
+        command: &'static str,
+        /// Why.
+        reason: Refusal,
+    },
+    /// A fault stopped the motor.
+    #[error("fault {0:?}: {0}")]
+    Fault(Fault),
+    /// The recording cannot be written.
+    #[error(transparent)]
+    Store(#[from] crate::record::store::StoreError),
+    /// The user asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+}

@@ -1,1 +1,15 @@
-//! The simulated board: virtual clock, driver board, motor.
+//! The simulated board: the firmware library itself, run in virtual time against a simulated driver board and motor.
+//!
+//! [`Board`] is deterministic: the same [`Setup`] and the same bytes at the same times give the same bytes back. Its clock
+//! ([`clock`]) belongs to the thread it runs on, so boards on different threads do not disturb each other.
+
+mod board;
+pub mod clock;
+mod driver_board;
+mod motor;
+mod pins;
+mod wire;
+
+pub use board::{Board, Disturbance, Setup};
+pub use driver_board::DriverHealth;
+pub use motor::{FirstOrderMotor, SimulatedMotor};

@@ -1,0 +1,483 @@
+use super::clock;
+use super::driver_board::{DriverBoard, DriverHealth};
+use super::motor::{FirstOrderMotor, SimulatedMotor};
+use super::pins::{Pins, Stage};
+use super::wire::{Uart, Wire};
+use embassy_futures::join::join4;
+use embedded_hal::digital::{ErrorType as PinErrorType, InputPin};
+use embedded_io_async::{ErrorType, Read, Write};
+use std::cell::{Cell, RefCell};
+use std::convert::Infallible;
+use std::future::Future;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Wake, Waker};
+use twum_firmware::Shared;
+use twum_firmware::control::Control;
+use twum_firmware::driver::{DriverPort, serve};
+use twum_firmware::encoder::EncoderInterrupt;
+use twum_firmware::link::{About, receive, transmit};
+use twum_firmware::output::Output;
+use twum_firmware::queues::Queues;
+use twum_firmware::watchdog::{Watchdog, supervise};
+use twum_shared::message::{Mode, ResetCause};
+use twum_shared::{Direction, Fault};
+
+/// The plant moves in steps no longer than this, µs.
+const PLANT_STEP_US: u64 = 50;
+/// Baud rate of the link.
+const LINK_BAUD: u32 = 921_600;
+/// Baud rate of the driver board (thesis C.1).
+const DRIVER_BAUD: u32 = 19_200;
+/// The hardware watchdog bites after this long without being fed.
+const WATCHDOG_US: u64 = 1_000_000;
+
+/// A simulated board before it is switched on.
+pub struct Setup {
+    /// Edges of the encoder a revolution.
+    pub edges_per_rev: u32,
+    /// The rotor's angle within an encoder pitch at the start, as a fraction of the pitch in [0, 2): at 1 and above the
+    /// encoder line starts high.
+    pub start_pitch: f64,
+    /// The motor.
+    pub motor: Box<dyn SimulatedMotor>,
+    /// How well the driver board is.
+    pub driver: DriverHealth,
+    /// Why the board starts.
+    pub reset: ResetCause,
+    /// The device clock at the start, µs.
+    pub start_us: u64,
+    /// Seed of the ticks' start jitter; zero for none.
+    pub jitter_seed: u64,
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            edges_per_rev: 400,
+            start_pitch: 0.3,
+            motor: Box::new(FirstOrderMotor::default()),
+            driver: DriverHealth::Well,
+            reset: ResetCause::PowerOn,
+            start_us: 0,
+            jitter_seed: 1,
+        }
+    }
+}
+
+/// What a test or a user does to a running board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Disturbance {
+    /// Control ticks start so much later than they are due, µs.
+    LateTicks(u64),
+    /// The encoder line makes so many extra edges in every control period.
+    Chatter(u32),
+    /// The encoder line is dead.
+    EncoderDead(bool),
+    /// A task asks for this fault, as it does when it meets it.
+    Fault(Fault),
+    /// The control interrupt no longer runs: the hardware watchdog has to act.
+    ControlHung,
+    /// The tasks no longer run: the hardware watchdog has to act.
+    TasksHung,
+    /// A panic: the handler switches off, and the board restarts.
+    Panic,
+    /// The driver board's power is cycled.
+    DriverPowerCycled,
+}
+
+/// Tasks ask to be polled through this.
+#[derive(Debug, Default)]
+struct Flag(AtomicBool);
+
+impl Wake for Flag {
+    fn wake(self: Arc<Self>) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// The driver board's wires, as the firmware sees them.
+struct DriverUart {
+    uart: Uart,
+    pins: Rc<RefCell<Pins>>,
+}
+
+impl ErrorType for DriverUart {
+    type Error = Infallible;
+}
+
+impl Read for DriverUart {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        self.uart.read(buffer).await
+    }
+}
+
+impl Write for DriverUart {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        self.uart.write(bytes).await
+    }
+
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+impl DriverPort for DriverUart {
+    fn to_text(&mut self) {
+        self.pins.borrow_mut().hardware = false;
+        self.uart.rx.clear();
+    }
+
+    fn to_hardware(&mut self) {
+        self.pins.borrow_mut().hardware = true;
+    }
+}
+
+struct EncoderPin(Rc<Cell<bool>>);
+
+impl PinErrorType for EncoderPin {
+    type Error = Infallible;
+}
+
+impl InputPin for EncoderPin {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok(self.0.get())
+    }
+
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.0.get())
+    }
+}
+
+struct Feeder(Rc<Cell<u64>>);
+
+impl Watchdog for Feeder {
+    fn feed(&mut self) {
+        self.0.set(clock::now_us());
+    }
+}
+
+type Tasks = Pin<Box<dyn Future<Output = ()>>>;
+
+/// The firmware's part of a board, from one boot to the next.
+struct Firmware {
+    shared: &'static Shared,
+    control: Control<'static, Stage>,
+    interrupt: EncoderInterrupt<'static>,
+    tasks: Tasks,
+    woken: Arc<Flag>,
+    waker: Waker,
+    next_tick_us: u64,
+}
+
+impl Firmware {
+    fn boot(
+        stage: Stage,
+        uart: Uart,
+        driver: DriverUart,
+        pin: EncoderPin,
+        fed: Rc<Cell<u64>>,
+        reset: ResetCause,
+    ) -> Self {
+        let output = Output::boot(stage);
+        // A chip keeps these in static memory; a simulated boot leaks them (30 KB), which keeps every lifetime the chip's.
+        let shared: &'static Shared = Box::leak(Box::new(Shared::new()));
+        let queues: &'static mut Queues = Box::leak(Box::new(Queues::new()));
+        let (control_ends, edges, transmit_ends) = queues.split();
+        let about = About {
+            firmware: heapless::String::try_from(env!("CARGO_PKG_VERSION")).unwrap_or_default(),
+            chip: heapless::String::try_from("simulated").unwrap_or_default(),
+            reset,
+        };
+        let receiver = uart.clone();
+        let tasks: Tasks = Box::pin(async move {
+            join4(
+                receive(shared, receiver),
+                transmit(shared, transmit_ends, about, uart),
+                serve(shared, driver, pin),
+                supervise(shared, Feeder(fed)),
+            )
+            .await;
+        });
+        let woken = Arc::new(Flag(AtomicBool::new(true)));
+        Self {
+            shared,
+            control: Control::new(shared, control_ends, output, reset),
+            interrupt: EncoderInterrupt::new(shared, edges),
+            tasks,
+            waker: Waker::from(woken.clone()),
+            woken,
+            next_tick_us: clock::now_us(),
+        }
+    }
+
+    fn poll(&mut self) {
+        let mut context = Context::from_waker(&self.waker);
+        while self.woken.0.swap(false, Ordering::Relaxed) {
+            // The tasks never end.
+            let _ = self.tasks.as_mut().poll(&mut context);
+        }
+    }
+}
+
+/// A simulated board with its driver board and motor. It lives on one thread: its clock is the thread's.
+pub struct Board {
+    firmware: Firmware,
+    pins: Rc<RefCell<Pins>>,
+    encoder_level: Rc<Cell<bool>>,
+    fed_us: Rc<Cell<u64>>,
+    to_board: Wire,
+    from_board: Wire,
+    driver_rx: Wire,
+    driver_tx: Wire,
+    driver: DriverBoard,
+    motor: Box<dyn SimulatedMotor>,
+    edges_per_rev: f64,
+    start_pitch: f64,
+    angle_rad: f64,
+    jitter: u64,
+    late_us: u64,
+    chatter: u32,
+    encoder_dead: bool,
+    control_hung: bool,
+    tasks_hung: bool,
+}
+
+impl Board {
+    /// Switches a board on. Resets this thread's clock.
+    pub fn new(setup: Setup) -> Self {
+        clock::reset(setup.start_us);
+        let pins = Rc::new(RefCell::new(Pins::default()));
+        let encoder_level = Rc::new(Cell::new(setup.start_pitch.rem_euclid(2.0) >= 1.0));
+        let fed_us = Rc::new(Cell::new(setup.start_us));
+        let (to_board, from_board) = (Wire::new(LINK_BAUD), Wire::new(LINK_BAUD));
+        let (driver_rx, driver_tx) = (Wire::new(DRIVER_BAUD), Wire::new(DRIVER_BAUD));
+        let wires = [&to_board, &from_board, &driver_rx, &driver_tx].map(Clone::clone);
+        let firmware = boot(&pins, &encoder_level, &fed_us, &wires, setup.reset);
+        let mut motor = setup.motor;
+        let angle_rad = motor.advance(0.0, false, Direction::Cw);
+        Self {
+            firmware,
+            pins,
+            encoder_level,
+            fed_us,
+            to_board,
+            from_board,
+            driver_rx,
+            driver_tx,
+            driver: DriverBoard::new(setup.driver),
+            motor,
+            edges_per_rev: f64::from(setup.edges_per_rev),
+            start_pitch: setup.start_pitch,
+            angle_rad,
+            jitter: setup.jitter_seed,
+            late_us: 0,
+            chatter: 0,
+            encoder_dead: false,
+            control_hung: false,
+            tasks_hung: false,
+        }
+    }
+
+    /// The device clock, µs.
+    pub fn now_us(&self) -> u64 {
+        clock::now_us()
+    }
+
+    /// Puts bytes from the host on the line.
+    pub fn send(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.to_board.send(clock::now_us(), byte);
+        }
+    }
+
+    /// Takes what the board has sent so far.
+    pub fn received(&mut self, into: &mut Vec<u8>) {
+        let now_us = clock::now_us();
+        while let Some(byte) = self.from_board.receive(now_us) {
+            into.push(byte);
+        }
+    }
+
+    /// Whether the pins hold the motor off.
+    pub fn output_is_off(&self) -> bool {
+        self.pins.borrow().is_off()
+    }
+
+    /// The supervisor's state, seen from outside the link.
+    pub fn mode(&self) -> Mode {
+        self.firmware.control.mode()
+    }
+
+    /// The rotor's true angle, rad.
+    pub fn angle_rad(&self) -> f64 {
+        self.angle_rad
+    }
+
+    /// The motor, to change it while it runs.
+    pub fn motor(&mut self) -> &mut dyn SimulatedMotor {
+        self.motor.as_mut()
+    }
+
+    /// Does something to the board.
+    pub fn disturb(&mut self, disturbance: Disturbance) {
+        match disturbance {
+            Disturbance::LateTicks(late_us) => self.late_us = late_us,
+            Disturbance::Chatter(edges) => self.chatter = edges,
+            Disturbance::EncoderDead(dead) => self.encoder_dead = dead,
+            Disturbance::Fault(fault) => self.firmware.shared.request_fault(fault),
+            Disturbance::ControlHung => self.control_hung = true,
+            Disturbance::TasksHung => self.tasks_hung = true,
+            Disturbance::Panic => self.restart(ResetCause::Panic),
+            Disturbance::DriverPowerCycled => self.driver = DriverBoard::new(self.driver.health),
+        }
+    }
+
+    /// Runs for so long, µs.
+    pub fn run_for(&mut self, duration_us: u64) {
+        self.run_until(clock::now_us() + duration_us);
+    }
+
+    /// Runs until the device clock shows `until_us`.
+    pub fn run_until(&mut self, until_us: u64) {
+        self.firmware.poll();
+        while clock::now_us() < until_us {
+            let next_us = self.next_event_us().clamp(clock::now_us() + 1, until_us);
+            self.move_plant(next_us);
+            clock::set(next_us);
+            self.pins.borrow_mut().turn(next_us);
+            self.turn_driver(next_us);
+            if next_us >= self.firmware.next_tick_us + self.late_us {
+                self.tick(next_us);
+            }
+            if !self.tasks_hung {
+                self.firmware.poll();
+            }
+            if self.firmware.shared.reboot.try_take().is_some() {
+                self.restart(ResetCause::Software);
+            }
+            if next_us.saturating_sub(self.fed_us.get()) > WATCHDOG_US {
+                self.restart(ResetCause::Watchdog);
+            }
+        }
+    }
+
+    fn next_event_us(&self) -> u64 {
+        let now_us = clock::now_us();
+        let driver = self.driver.next_us(&self.driver_tx);
+        [
+            Some(now_us + PLANT_STEP_US),
+            Some(self.firmware.next_tick_us + self.late_us),
+            Some(self.pins.borrow().next_change_us(now_us)),
+            clock::next_timer_us(),
+            driver,
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+        .unwrap_or(now_us + PLANT_STEP_US)
+    }
+
+    fn move_plant(&mut self, next_us: u64) {
+        let now_us = clock::now_us();
+        let (drive_on, direction) = {
+            let pins = self.pins.borrow();
+            (pins.drive_on(now_us) && self.driver.hardware, pins.direction)
+        };
+        let before = self.angle_rad;
+        let after = self.motor.advance((next_us - now_us) as f64 * 1e-6, drive_on, direction);
+        self.encode(before, after, now_us, next_us, direction);
+    }
+
+    /// The encoder's edges between two angles, with their times interpolated.
+    fn encode(&mut self, before: f64, after: f64, from_us: u64, to_us: u64, direction: Direction) {
+        self.angle_rad = after;
+        let pitches = |angle: f64| angle / std::f64::consts::TAU * self.edges_per_rev + self.start_pitch;
+        let (first, last) = (pitches(before), pitches(after));
+        let (from, to) = (first.floor() as i64, last.floor() as i64);
+        let crossed: Vec<i64> = if to > from { (from + 1..=to).collect() } else { (to + 1..=from).rev().collect() };
+        for boundary in crossed {
+            let share = ((boundary as f64 - first) / (last - first)).clamp(0.0, 1.0);
+            let time_us = from_us + (share * (to_us - from_us) as f64) as u64;
+            let above = if to > from { boundary } else { boundary - 1 };
+            let level = above.rem_euclid(2) == 1;
+            if !self.encoder_dead {
+                self.encoder_level.set(level);
+                self.firmware.interrupt.edge(level, direction, time_us as u32);
+            }
+        }
+    }
+
+    fn turn_driver(&mut self, now_us: u64) {
+        let level = self.encoder_level.get();
+        let nudge_rad = self.driver.turn(now_us, &self.driver_tx, &self.driver_rx, level);
+        if nudge_rad != 0.0 {
+            self.motor.nudge(nudge_rad);
+            let after = self.motor.advance(0.0, false, Direction::Cw);
+            self.encode(self.angle_rad, after, now_us, now_us, Direction::Cw);
+        }
+    }
+
+    fn tick(&mut self, now_us: u64) {
+        let due_us = self.firmware.next_tick_us;
+        self.firmware.next_tick_us = due_us + u64::from(self.firmware.control.period_us());
+        // Ticks missed altogether merge into one, as a pending timer interrupt's do.
+        while self.firmware.next_tick_us <= now_us {
+            self.firmware.next_tick_us += u64::from(self.firmware.control.period_us());
+        }
+        if self.control_hung {
+            return;
+        }
+        for _ in 0..self.chatter {
+            let level = !self.encoder_level.get();
+            self.encoder_level.set(level);
+            let direction = self.pins.borrow().direction;
+            self.firmware.interrupt.edge(level, direction, now_us as u32);
+        }
+        let jitter_us = self.jitter_us();
+        self.firmware.control.tick(due_us, now_us + jitter_us, self.encoder_level.get(), || now_us + jitter_us + 12);
+    }
+
+    /// A tick starts up to 3 µs late, as on a chip whose other interrupts are short. xorshift, so that runs repeat.
+    fn jitter_us(&mut self) -> u64 {
+        if self.jitter == 0 {
+            return 0;
+        }
+        self.jitter ^= self.jitter << 13;
+        self.jitter ^= self.jitter >> 7;
+        self.jitter ^= self.jitter << 17;
+        self.jitter % 4
+    }
+
+    fn restart(&mut self, reset: ResetCause) {
+        self.from_board.clear();
+        self.control_hung = false;
+        self.tasks_hung = false;
+        clock::forget_timers();
+        self.fed_us.set(clock::now_us());
+        let wires = [&self.to_board, &self.from_board, &self.driver_rx, &self.driver_tx].map(Clone::clone);
+        self.firmware = boot(&self.pins, &self.encoder_level, &self.fed_us, &wires, reset);
+        self.pins.borrow_mut().hardware = false;
+    }
+}
+
+fn boot(
+    pins: &Rc<RefCell<Pins>>,
+    level: &Rc<Cell<bool>>,
+    fed_us: &Rc<Cell<u64>>,
+    [to_board, from_board, driver_rx, driver_tx]: &[Wire; 4],
+    reset: ResetCause,
+) -> Firmware {
+    let uart = Uart { rx: to_board.clone(), tx: from_board.clone() };
+    let driver_uart = Uart { rx: driver_rx.clone(), tx: driver_tx.clone() };
+    Firmware::boot(
+        Stage { pins: pins.clone() },
+        uart,
+        DriverUart { uart: driver_uart, pins: pins.clone() },
+        EncoderPin(level.clone()),
+        fed_us.clone(),
+        reset,
+    )
+}
