@@ -1,6 +1,7 @@
 //! Host side of a travelling-wave ultrasonic motor bench.
 
 pub mod compare;
+pub mod demo;
 pub mod diagnose;
 pub mod identify;
 pub mod instruments;

@@ -12,8 +12,8 @@ use twum_shared::message::{
 
 /// The queues are looked at this often.
 const TURN_MS: u64 = 2;
-/// A block that is not full goes out after this many turns.
-const PATIENCE_TURNS: u8 = 25;
+/// A block that is not full goes out after this many turns: no sample waits longer than a person notices.
+const PATIENCE_TURNS: u8 = 50;
 /// Words in a block before it goes out.
 const WORDS_PER_BLOCK: usize = 8;
 
@@ -33,7 +33,7 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
     let mut transmitter = Transmitter { shared, port, sequence: 0 };
     // Ends whatever a boot loader wrote, so that our first frame stands alone.
     let _ = transmitter.port.write_all(&[0]).await;
-    let mut collector = Collector { queues, pending: None, edges_sent: 0, patience: PATIENCE_TURNS };
+    let mut collector = Collector { queues, pending: None, edges_sent: 0, patience: [PATIENCE_TURNS; 3] };
     let mut latest: Option<Status> = None;
     let mut lost_seen = 0;
     loop {
@@ -47,6 +47,7 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
             transmitter.sequence = transmitter.sequence.wrapping_add(1);
             lost_seen = lost;
         }
+        collector.wait_a_turn();
         while let Some(message) = collector.next_block(shared) {
             transmitter.send(message).await;
         }
@@ -115,33 +116,37 @@ struct Collector<'a> {
     queues: TransmitEnds<'a>,
     pending: Option<TickRecord>,
     edges_sent: u64,
-    patience: u8,
+    /// Turns for which ticks, words and edges may still wait for their block to fill.
+    patience: [u8; 3],
 }
 
 impl Collector<'_> {
+    fn wait_a_turn(&mut self) {
+        self.patience = self.patience.map(|turns| turns.saturating_sub(1));
+    }
+
     /// The next block that is full or has waited long enough.
     fn next_block(&mut self, shared: &Shared) -> Option<DeviceMessage> {
-        if self.queues.ticks.len() >= BLOCK_SAMPLES {
-            return self.control_block().map(DeviceMessage::Control);
+        let [ticks, words, edges] = self.patience.map(|turns| turns == 0);
+        if ticks || self.queues.ticks.len() >= BLOCK_SAMPLES {
+            self.patience[0] = PATIENCE_TURNS;
+            if let Some(block) = self.control_block() {
+                return Some(DeviceMessage::Control(block));
+            }
         }
-        if self.queues.words.len() >= WORDS_PER_BLOCK {
-            return self.bits_block().map(DeviceMessage::Bits);
+        if words || self.queues.words.len() >= WORDS_PER_BLOCK {
+            self.patience[1] = PATIENCE_TURNS;
+            if let Some(block) = self.bits_block() {
+                return Some(DeviceMessage::Bits(block));
+            }
         }
-        if self.queues.edges.len() >= BLOCK_EDGES {
-            return self.edges_block(shared).map(DeviceMessage::Edges);
+        if edges || self.queues.edges.len() >= BLOCK_EDGES {
+            self.patience[2] = PATIENCE_TURNS;
+            if let Some(block) = self.edges_block(shared) {
+                return Some(DeviceMessage::Edges(block));
+            }
         }
-        self.patience = self.patience.saturating_sub(1);
-        if self.patience > 0 {
-            return None;
-        }
-        let rest = self
-            .control_block()
-            .map(DeviceMessage::Control)
-            .or_else(|| self.bits_block().map(DeviceMessage::Bits))
-            .or_else(|| self.edges_block(shared).map(DeviceMessage::Edges));
-        // Called once more after the last rest, so the patience only returns when nothing is left.
-        self.patience = if rest.is_some() { 1 } else { PATIENCE_TURNS };
-        rest
+        None
     }
 
     fn control_block(&mut self) -> Option<ControlBlock> {

@@ -15,6 +15,7 @@ mod instruments;
 mod live;
 mod model;
 mod neck;
+mod output;
 mod plot;
 mod ports;
 mod replay;

@@ -1,1 +1,3 @@
 //! A measurement against the fixed-point model and the simulation.
+
+pub mod replay;

@@ -66,7 +66,9 @@ pub enum LinkError {
         waited_ms: u64,
     },
     /// The device speaks another protocol.
-    #[error("the device speaks protocol version {0}, this program version {PROTOCOL_VERSION}: flash the firmware that belongs to it")]
+    #[error(
+        "the device speaks protocol version {0}, this program version {PROTOCOL_VERSION}: flash the firmware that belongs to it"
+    )]
     Version(u8),
     /// A command was refused.
     #[error("{command} was refused: {reason}")]

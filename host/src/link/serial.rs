@@ -60,7 +60,9 @@ impl Port for SerialLink {
             match self.port.write(rest) {
                 Ok(0) => std::thread::sleep(Duration::from_millis(1)),
                 Ok(written) => rest = &rest[written..],
-                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+                Err(error)
+                    if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) =>
+                {
                     if Instant::now() > deadline {
                         return Err(self.lost(&error));
                     }
@@ -81,7 +83,9 @@ impl Port for SerialLink {
                     into.extend_from_slice(&buffer[..length]);
                     return Ok(());
                 }
-                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+                Err(error)
+                    if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) =>
+                {
                     if Instant::now() >= deadline {
                         return Ok(());
                     }

@@ -163,8 +163,9 @@ impl<P: Port> Session<P> {
         let sequence = self.sequence;
         self.sequence = self.sequence.wrapping_add(1);
         let mut buffer = [0; MAX_ENCODED];
-        let bytes = frame::encode(Header { sequence, time_us: 0 }, message, &mut buffer)
-            .expect("every host message fits a frame: its collections are bounded, and a test frames each at its fullest");
+        let bytes = frame::encode(Header { sequence, time_us: 0 }, message, &mut buffer).expect(
+            "every host message fits a frame: its collections are bounded, and a test frames each at its fullest",
+        );
         let time_ns = self.recording_time_ns();
         if let Some(writer) = &mut self.writer {
             writer.frame(Sender::Host, time_ns, bytes)?;
@@ -254,7 +255,8 @@ impl<P: Port> Session<P> {
     fn count(&mut self, header: Header, message: &DeviceMessage) {
         self.tally.received += 1;
         let gap = self.expected.map_or(0, |expected| header.sequence.wrapping_sub(expected));
-        let restarted = gap > u32::MAX / 2 || (matches!(message, DeviceMessage::Hello(_)) && header.sequence < 4 && gap != 0);
+        let restarted =
+            gap > u32::MAX / 2 || (matches!(message, DeviceMessage::Hello(_)) && header.sequence < 4 && gap != 0);
         if restarted {
             self.tally.restarts += 1;
         } else {

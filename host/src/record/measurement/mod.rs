@@ -6,12 +6,14 @@
 //! Loading trusts nothing: files named in `measurement.toml` must lie inside the folder, every number must be finite
 //! and in its range, and sizes are bounded ([`MAX_LOADED_BYTES`], [`MAX_RUNS`], [`MAX_RECORD_S`]).
 
+mod control;
 mod error;
 mod manifest;
 mod packed;
 mod table;
 mod write;
 
+pub use control::ControlError;
 pub use error::MeasurementError;
 
 use serde::{Deserialize, Serialize};

@@ -1,0 +1,261 @@
+//! The demonstration: the firmware's own code drives a simulated motor along the thesis's sine, once under each named
+//! controller; the recordings are decoded, checked bit for bit and drawn.
+
+use crate::compare::replay::{Replay, ReplayReport};
+use crate::link::{LinkError, Session, SimulatedLink, Tally};
+use crate::record::measurement::ControlSpec;
+use crate::record::store::{Entry, Metadata, Reader, Sender, StoreError, Writer};
+use crate::report::figure::{Figure, FigureError, Panel};
+use crate::report::html::Page;
+use crate::sim::Setup;
+use serde::Serialize;
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use thiserror::Error;
+use twum_shared::frame;
+use twum_shared::message::{CaptureMode, Configuration, ControlBlock, DeviceMessage, RunEnd, TrackRun};
+use twum_shared::reference::Reference;
+
+/// The thesis's test: 89 counts at 1.257 rad/s (C.2).
+pub const THESIS_SINE: Reference = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
+/// Length of each run, ms.
+const DURATION_MS: u32 = 20_000;
+
+/// Why a demonstration failed.
+#[derive(Debug, Error)]
+pub enum DemoError {
+    /// The conversation with the simulated board.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The recordings.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The pictures.
+    #[error(transparent)]
+    Figure(#[from] FigureError),
+    /// The other files.
+    #[error("{}: {reason}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        reason: std::io::Error,
+    },
+}
+
+/// How well one run tracked, and what was checked about it.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunSummary {
+    /// Name of the controller.
+    pub control: &'static str,
+    /// Mean squared error, deg².
+    pub mse_deg2: f64,
+    /// Mean absolute error, deg.
+    pub mean_absolute_deg: f64,
+    /// Largest error, deg.
+    pub worst_deg: f64,
+    /// Mean start of a tick after it was due, µs of virtual time.
+    pub tick_late_mean_us: f64,
+    /// Latest start, µs of virtual time.
+    pub tick_late_worst_us: u16,
+    /// Longest tick, µs of virtual time.
+    pub tick_duration_worst_us: u16,
+    /// Frames received, lost and bad.
+    pub link: Tally,
+    /// The bit-for-bit check, made on the recording as it was read back.
+    pub replay: ReplayReport,
+}
+
+/// The control ticks of a run, for its files and pictures.
+struct Ticks {
+    time_s: Vec<f64>,
+    target_deg: Vec<f64>,
+    position_deg: Vec<f64>,
+    duty: Vec<f64>,
+    late_us: Vec<u16>,
+    duration_us: Vec<u16>,
+}
+
+/// Runs the demonstration into a new folder; `progress` is told what is being done.
+///
+/// # Errors
+/// When the folder exists or a file in it cannot be written.
+pub fn run(folder: &Path, mut progress: impl FnMut(&str)) -> Result<Vec<RunSummary>, DemoError> {
+    fs::create_dir(folder).map_err(|reason| DemoError::File { path: folder.to_owned(), reason })?;
+    let mut summaries = Vec::new();
+    let mut page = Page::new("twum demo").paragraph(
+        "The firmware's own code, run in virtual time on a simulated board, aligned a simulated 30 mm PCBMotor and tracked \
+         89 counts (80.1°) at 1.257 rad/s for 20 s under both named controllers. Every frame was recorded; every control \
+         tick in the recordings was recomputed with the same fixed-point step. Times of ticks are virtual.",
+    );
+    for (name, control) in [("thesis", ControlSpec::Thesis), ("default", ControlSpec::Default)] {
+        progress(&format!("tracking with `{name}`"));
+        let recording = folder.join(format!("{name}.mcap"));
+        let link = track(&recording, control)?;
+        progress(&format!("checking `{name}`"));
+        let (ticks, replay) = read_back(&recording)?;
+        write_csv(&folder.join(format!("{name}.csv")), &ticks)?;
+        let figure = figure(name, &ticks);
+        for extension in ["svg", "png"] {
+            figure.write(folder.join(format!("{name}.{extension}")))?;
+        }
+        let summary = summarise(name, &ticks, link, replay);
+        page = page.heading(&format!("Controller `{name}`")).figure(&figure, "Position, error and duty of the run.")?;
+        summaries.push(summary);
+    }
+    let page = page.heading("Table").table(&table_header(), &table_rows(&summaries));
+    let report = folder.join("report.html");
+    page.write(&report).map_err(|reason| DemoError::File { path: report, reason })?;
+    Ok(summaries)
+}
+
+fn track(recording: &Path, control: ControlSpec) -> Result<Tally, DemoError> {
+    let spec = control.config().expect("the named controllers are valid; a test builds both");
+    let mut session = Session::new(SimulatedLink::new(Setup::default()));
+    let identity = session.hello()?;
+    let mut metadata = Metadata::simulated();
+    metadata.firmware_version = identity.firmware.to_string();
+    metadata.motor = "simulated first-order motor".to_owned();
+    session.record(Writer::create(recording, &metadata)?);
+    session.configure(Configuration::with_control(spec))?;
+    session.align()?;
+    session.capture(CaptureMode { bits: true, edges: true, control: true })?;
+    session.arm()?;
+    session.start_track(TrackRun { reference: THESIS_SINE, duration_ms: DURATION_MS })?;
+    let report = session.follow(Duration::from_secs(25), Duration::from_millis(500), |_| {})?;
+    if let RunEnd::Fault(fault) = report.end {
+        return Err(LinkError::Fault(fault).into());
+    }
+    session.stop()?;
+    session.finish_recording()?;
+    Ok(session.tally())
+}
+
+/// Decodes and checks a recording from its file: what is claimed is what was stored.
+fn read_back(recording: &Path) -> Result<(Ticks, ReplayReport), DemoError> {
+    let mut reader = Reader::open(recording)?;
+    let mut replay = Replay::new();
+    let mut ticks = Ticks {
+        time_s: Vec::new(),
+        target_deg: Vec::new(),
+        position_deg: Vec::new(),
+        duty: Vec::new(),
+        late_us: Vec::new(),
+        duration_us: Vec::new(),
+    };
+    let mut configuration: Option<Configuration> = None;
+    while let Some(entry) = reader.next_entry()? {
+        let Entry::Frame { sender: Sender::Device, bytes, .. } = entry else { continue };
+        let mut block = bytes.strip_suffix(&[0]).unwrap_or(bytes).to_vec();
+        let Ok((_, message)) = frame::decode::<DeviceMessage>(&mut block) else { continue };
+        replay.observe(&message);
+        match (&message, &configuration) {
+            (DeviceMessage::Configured(new), _) => configuration = Some(*new),
+            (DeviceMessage::Control(block), Some(configuration)) => ticks.extend(block, configuration),
+            _ => {}
+        }
+    }
+    Ok((ticks, replay.report().clone()))
+}
+
+impl Ticks {
+    fn extend(&mut self, block: &ControlBlock, configuration: &Configuration) {
+        let degrees = |counts: i32| f64::from(counts) * 360.0 / f64::from(configuration.edges_per_rev);
+        for (index, sample) in block.samples.iter().enumerate() {
+            let tick = block.first_tick + index as u64;
+            self.time_s.push(tick as f64 * f64::from(configuration.control.period_us) * 1e-6);
+            self.target_deg.push(degrees(sample.target));
+            self.position_deg.push(degrees(sample.position));
+            let duty = f64::from(sample.on_steps) / f64::from(configuration.control.duty_steps);
+            self.duty.push(duty * f64::from(sample.direction.sign()));
+            self.late_us.push(sample.late_us);
+            self.duration_us.push(sample.duration_us);
+        }
+    }
+
+    fn errors_deg(&self) -> impl Iterator<Item = f64> + '_ {
+        self.target_deg.iter().zip(&self.position_deg).map(|(target, position)| target - position)
+    }
+
+    fn against_time(&self, values: impl Iterator<Item = f64>) -> Vec<(f64, f64)> {
+        self.time_s.iter().copied().zip(values).collect()
+    }
+}
+
+fn summarise(control: &'static str, ticks: &Ticks, link: Tally, replay: ReplayReport) -> RunSummary {
+    let count = ticks.time_s.len().max(1) as f64;
+    RunSummary {
+        control,
+        mse_deg2: ticks.errors_deg().map(|error| error * error).sum::<f64>() / count,
+        mean_absolute_deg: ticks.errors_deg().map(f64::abs).sum::<f64>() / count,
+        worst_deg: ticks.errors_deg().map(f64::abs).fold(0.0, f64::max),
+        tick_late_mean_us: ticks.late_us.iter().map(|&late| f64::from(late)).sum::<f64>() / count,
+        tick_late_worst_us: ticks.late_us.iter().copied().max().unwrap_or(0),
+        tick_duration_worst_us: ticks.duration_us.iter().copied().max().unwrap_or(0),
+        link,
+        replay,
+    }
+}
+
+fn figure(name: &str, ticks: &Ticks) -> Figure {
+    Figure::new(format!("Thesis sine under `{name}`, simulated board"))
+        .size(1000, 900)
+        .panel(
+            Panel::new("time (s)", "position (°)")
+                .line("target", &ticks.against_time(ticks.target_deg.iter().copied()))
+                .line("position", &ticks.against_time(ticks.position_deg.iter().copied())),
+        )
+        .panel(Panel::new("time (s)", "error (°)").line("target - position", &ticks.against_time(ticks.errors_deg())))
+        .panel(Panel::new("time (s)", "duty (signed)").line("duty", &ticks.against_time(ticks.duty.iter().copied())))
+}
+
+fn write_csv(path: &Path, ticks: &Ticks) -> Result<(), DemoError> {
+    let file = |reason| DemoError::File { path: path.to_owned(), reason };
+    let mut out = std::io::BufWriter::new(fs::File::create_new(path).map_err(file)?);
+    let mut write = || -> std::io::Result<()> {
+        writeln!(out, "time_s,target_deg,position_deg,duty")?;
+        for index in 0..ticks.time_s.len() {
+            let (time, target, position) = (ticks.time_s[index], ticks.target_deg[index], ticks.position_deg[index]);
+            writeln!(out, "{time:.4},{target:.1},{position:.1},{:.5}", ticks.duty[index])?;
+        }
+        out.flush()
+    };
+    write().map_err(file)
+}
+
+/// Header of [`table_rows`].
+pub fn table_header() -> [&'static str; 9] {
+    [
+        "controller",
+        "MSE (deg²)",
+        "mean |error| (°)",
+        "worst (°)",
+        "tick late mean/worst (µs, virtual)",
+        "tick duration worst (µs, virtual)",
+        "frames received/lost/bad",
+        "ticks checked",
+        "mismatched",
+    ]
+}
+
+/// The summaries as rows of text.
+pub fn table_rows(summaries: &[RunSummary]) -> Vec<Vec<String>> {
+    summaries
+        .iter()
+        .map(|summary| {
+            vec![
+                summary.control.to_owned(),
+                format!("{:.3}", summary.mse_deg2),
+                format!("{:.3}", summary.mean_absolute_deg),
+                format!("{:.1}", summary.worst_deg),
+                format!("{:.1} / {}", summary.tick_late_mean_us, summary.tick_late_worst_us),
+                summary.tick_duration_worst_us.to_string(),
+                format!("{} / {} / {}", summary.link.received, summary.link.lost, summary.link.bad),
+                summary.replay.checked.to_string(),
+                summary.replay.mismatched.to_string(),
+            ]
+        })
+        .collect()
+}
