@@ -2,9 +2,10 @@
 //! controller; the recordings are decoded, checked bit for bit and drawn.
 
 use crate::compare::replay::{Replay, ReplayReport};
+use crate::link::bench::{Action, Experiment, perform};
 use crate::link::{LinkError, Session, SimulatedLink, Tally};
 use crate::record::measurement::ControlSpec;
-use crate::record::store::{Entry, Metadata, Reader, Sender, StoreError, Writer};
+use crate::record::store::{Entry, Reader, Sender, StoreError};
 use crate::report::figure::{Figure, FigureError, Panel};
 use crate::report::html::Page;
 use crate::sim::Setup;
@@ -12,7 +13,6 @@ use serde::Serialize;
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 use thiserror::Error;
 use twum_shared::frame;
 use twum_shared::message::{CaptureMode, Configuration, ControlBlock, DeviceMessage, RunEnd, TrackRun};
@@ -114,23 +114,18 @@ pub fn run(folder: &Path, mut progress: impl FnMut(&str)) -> Result<Vec<RunSumma
 fn track(recording: &Path, control: ControlSpec) -> Result<Tally, DemoError> {
     let spec = control.config().expect("the named controllers are valid; a test builds both");
     let mut session = Session::new(SimulatedLink::new(Setup::default()));
-    let identity = session.hello()?;
-    let mut metadata = Metadata::simulated();
-    metadata.firmware_version = identity.firmware.to_string();
-    metadata.motor = "simulated first-order motor".to_owned();
-    session.record(Writer::create(recording, &metadata)?);
-    session.configure(Configuration::with_control(spec))?;
-    session.align()?;
-    session.capture(CaptureMode { bits: true, edges: true, control: true })?;
-    session.arm()?;
-    session.start_track(TrackRun { reference: THESIS_SINE, duration_ms: DURATION_MS })?;
-    let report = session.follow(Duration::from_secs(25), Duration::from_millis(500), |_| {})?;
-    if let RunEnd::Fault(fault) = report.end {
-        return Err(LinkError::Fault(fault).into());
+    let experiment = Experiment {
+        configuration: Some(Configuration::with_control(spec)),
+        capture: CaptureMode { bits: true, edges: true, control: true },
+        action: Action::Track(TrackRun { reference: THESIS_SINE, duration_ms: DURATION_MS }),
+        recording: Some(recording.to_owned()),
+        motor: "simulated first-order motor".to_owned(),
+    };
+    let outcome = perform(&mut session, &experiment, None, |_| {})?;
+    match outcome.run.map(|run| run.end) {
+        Some(RunEnd::Fault(fault)) => Err(LinkError::Fault(fault).into()),
+        _ => Ok(outcome.tally),
     }
-    session.stop()?;
-    session.finish_recording()?;
-    Ok(session.tally())
 }
 
 /// Decodes and checks a recording from its file: what is claimed is what was stored.

@@ -1,13 +1,44 @@
 //! `twum driver`.
 
-use anyhow::{Result, bail};
+use super::connect::{ALL_STREAMS, ConnectArgs, RecordArgs};
+use anyhow::{Context, Result};
+use std::io::Write;
 use std::process::ExitCode;
+use twum_host::link::bench::{Action, Experiment};
+use twum_shared::message::DeviceMessage;
 
 /// Arguments of `twum driver`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(
+    after_help = "Works only while the driver board is in its text mode: before alignment, or after its power was cycled.\n\n\
+                        Examples:\n  twum driver --port /dev/ttyUSB0 ap\n  twum driver --port sim 'u100,ap' --out step.mcap"
+)]
+pub struct Args {
+    #[command(flatten)]
+    connect: ConnectArgs,
+    #[command(flatten)]
+    record: RecordArgs,
+    /// Commands for the driver board, joined by commas
+    line: String,
+}
 
 /// Runs `twum driver`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum driver` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    twum_shared::driver::parse(&args.line)
+        .with_context(|| format!("`{}` is not a line of driver commands", args.line))?;
+    let line = heapless::String::try_from(args.line.as_str()).ok().context("the line is longer than 64 characters")?;
+    let experiment = Experiment {
+        configuration: None,
+        capture: ALL_STREAMS,
+        action: Action::Driver(line),
+        recording: args.record.out.clone(),
+        motor: String::new(),
+    };
+    let outcome = args.connect.perform(&experiment, |received| {
+        if let DeviceMessage::DriverReply(bytes) = &received.message {
+            // A closed stdout ends the printing, not the capture.
+            let _ = std::io::stdout().write_all(bytes);
+        }
+    })?;
+    args.record.conclude(&outcome)
 }

@@ -1,13 +1,36 @@
 //! `twum info`.
 
-use anyhow::{Result, bail};
+use super::connect::ConnectArgs;
+use anyhow::Result;
 use std::process::ExitCode;
+use twum_shared::frame::PROTOCOL_VERSION;
 
 /// Arguments of `twum info`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "Examples:\n  twum info --port /dev/ttyUSB0 --json")]
+pub struct Args {
+    #[command(flatten)]
+    connect: ConnectArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
 
 /// Runs `twum info`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum info` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    let identity = args.connect.session()?.hello()?;
+    let rows = [
+        ("protocol", PROTOCOL_VERSION.to_string()),
+        ("firmware", identity.firmware.to_string()),
+        ("chip", identity.chip.to_string()),
+        ("reset", format!("{:?}", identity.reset)),
+        ("mode", format!("{:?}", identity.mode)),
+        ("fault", identity.fault.map_or("none".to_owned(), |fault| format!("{fault:?}"))),
+    ];
+    if args.json {
+        println!("{}", serde_json::json!(std::collections::BTreeMap::from(rows)));
+    } else {
+        rows.iter().for_each(|(key, value)| println!("{key:<10}{value}"));
+    }
+    Ok(ExitCode::SUCCESS)
 }

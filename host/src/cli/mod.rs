@@ -3,6 +3,7 @@
 mod align;
 mod capture;
 mod compare;
+mod connect;
 mod demo;
 mod diagnose;
 mod driver;
@@ -21,6 +22,7 @@ mod ports;
 mod replay;
 mod sim;
 mod speed;
+mod stop;
 mod track;
 mod velocity;
 
@@ -78,6 +80,8 @@ enum Command {
     Sim(sim::Args),
     /// Run the motor at a constant duty
     Speed(speed::Args),
+    /// Stop the motor and clear a latched fault
+    Stop(stop::Args),
     /// Track a reference in closed loop
     Track(track::Args),
     /// Estimate position and speed from encoder edges
@@ -108,6 +112,7 @@ impl Cli {
             Command::Replay(args) => replay::run(args),
             Command::Sim(args) => sim::run(args),
             Command::Speed(args) => speed::run(args),
+            Command::Stop(args) => stop::run(args),
             Command::Track(args) => track::run(args),
             Command::Velocity(args) => velocity::run(args),
         }

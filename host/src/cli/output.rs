@@ -1,6 +1,6 @@
 //! How commands talk to people: tables on stdout, progress on stderr.
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use std::time::Duration;
 
 /// Prints rows under a header, columns aligned.
@@ -26,11 +26,4 @@ pub fn spinner() -> ProgressBar {
     let spinner = ProgressBar::new_spinner();
     spinner.enable_steady_tick(Duration::from_millis(100));
     spinner
-}
-
-/// A bar on stderr over a known number of steps.
-pub fn bar(steps: u64, what: &'static str) -> ProgressBar {
-    let style =
-        ProgressStyle::with_template("{msg} [{bar:40}] {elapsed}/{duration}").unwrap_or(ProgressStyle::default_bar());
-    ProgressBar::new(steps).with_style(style).with_message(what)
 }

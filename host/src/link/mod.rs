@@ -3,6 +3,7 @@
 //! A [`Port`] moves bytes and has a clock; a [`Session`] speaks the protocol over it, keeps count of what was lost, and
 //! writes every frame it sees into a recording.
 
+pub mod bench;
 mod pty;
 mod serial;
 mod session;
@@ -38,6 +39,24 @@ pub trait Port {
 
     /// Whether [`Port::elapsed`] is virtual.
     fn is_virtual(&self) -> bool;
+}
+
+impl Port for Box<dyn Port> {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        (**self).send(bytes)
+    }
+
+    fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
+        (**self).receive(into, wait)
+    }
+
+    fn elapsed(&self) -> Duration {
+        (**self).elapsed()
+    }
+
+    fn is_virtual(&self) -> bool {
+        (**self).is_virtual()
+    }
 }
 
 /// What can go wrong between host and board.

@@ -98,6 +98,16 @@ impl<P: Port> Session<P> {
         self.interrupt = Some(flag);
     }
 
+    /// Waits no longer end when the flag is set: what follows cleans up.
+    pub fn ignore_interrupts(&mut self) {
+        self.interrupt = None;
+    }
+
+    /// Whether the flag is set.
+    pub fn is_interrupted(&self) -> bool {
+        self.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))
+    }
+
     /// The port.
     pub fn port(&mut self) -> &mut P {
         &mut self.port
@@ -197,7 +207,7 @@ impl<P: Port> Session<P> {
 
     /// Reads once, at most until the deadline or the next keepalive.
     fn fill(&mut self, deadline: Duration) -> Result<(), LinkError> {
-        if self.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+        if self.is_interrupted() {
             return Err(LinkError::Interrupted);
         }
         let now = self.port.elapsed();
@@ -403,39 +413,5 @@ impl<P: Port> Session<P> {
     /// Refused, or no answer.
     pub fn reboot(&mut self) -> Result<(), LinkError> {
         self.command("the reboot", &HostMessage::Reboot)
-    }
-
-    /// Follows a run to its end, handing every message to `observe`; `tail` goes on so long after the end, so that the
-    /// last blocks arrive.
-    ///
-    /// # Errors
-    /// No end within `wait`, or whatever ends the link.
-    pub fn follow(
-        &mut self,
-        wait: Duration,
-        tail: Duration,
-        mut observe: impl FnMut(&Received),
-    ) -> Result<RunReport, LinkError> {
-        let deadline = self.port.elapsed() + wait;
-        let mut start_us = 0;
-        let mut report = None;
-        let mut until = deadline;
-        loop {
-            let left = until.saturating_sub(self.port.elapsed());
-            match self.next(left)? {
-                Some(received) => {
-                    match &received.message {
-                        DeviceMessage::RunStarted { start_us: start } => start_us = *start,
-                        DeviceMessage::RunEnded { end, end_us } => {
-                            report = Some(RunReport { end: *end, start_us, end_us: *end_us });
-                            until = self.port.elapsed() + tail;
-                        }
-                        _ => {}
-                    }
-                    observe(&received);
-                }
-                None => return report.ok_or(LinkError::NoAnswer { waited_ms: wait.as_millis() as u64 }),
-            }
-        }
     }
 }

@@ -48,7 +48,7 @@ pub(super) fn svg(figure: &Figure) -> Result<String, FigureError> {
     let (width, height) = checked_size(figure)?;
     let large = (width * SVG_SCALE, height * SVG_SCALE);
     let mut out = String::new();
-    draw(figure, SVGBackend::with_string(&mut out, large).into_drawing_area(), f64::from(SVG_SCALE))?;
+    draw(figure, SVGBackend::with_string(&mut out, large).into_drawing_area(), f64::from(SVG_SCALE), Joints::Together)?;
     let body = out.split_once('\n').map_or("", |(_, body)| body);
     Ok(format!(
         "<svg width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {} {}\" stroke-linejoin=\"round\" \
@@ -61,7 +61,12 @@ pub(super) fn png(figure: &Figure) -> Result<Vec<u8>, FigureError> {
     let (width, height) = checked_size(figure)?;
     let large = (width * PNG_SCALE, height * PNG_SCALE);
     let mut pixels = vec![0u8; large.0 as usize * large.1 as usize * 3];
-    draw(figure, BitMapBackend::with_buffer(&mut pixels, large).into_drawing_area(), f64::from(PNG_SCALE))?;
+    draw(
+        figure,
+        BitMapBackend::with_buffer(&mut pixels, large).into_drawing_area(),
+        f64::from(PNG_SCALE),
+        Joints::Apart,
+    )?;
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, width, height);
     encoder.set_color(png::ColorType::Rgb);
@@ -95,9 +100,14 @@ fn checked_size(figure: &Figure) -> Result<(u32, u32), FigureError> {
     Ok((width, height))
 }
 
-fn draw<B: DrawingBackend>(figure: &Figure, area: DrawingArea<B, Shift>, scale: f64) -> Result<(), FigureError> {
+fn draw<B: DrawingBackend>(
+    figure: &Figure,
+    area: DrawingArea<B, Shift>,
+    scale: f64,
+    joints: Joints,
+) -> Result<(), FigureError> {
     register_fonts();
-    let canvas = Canvas { area, scale };
+    let canvas = Canvas { area, scale, joints };
     let (width, height) = (f64::from(figure.width), f64::from(figure.height_px()));
     canvas.fill(WHITE)?;
     let top = if figure.title.is_empty() { 8.0 } else { 40.0 };
@@ -159,6 +169,15 @@ enum Place {
 struct Canvas<B: DrawingBackend> {
     area: DrawingArea<B, Shift>,
     scale: f64,
+    joints: Joints,
+}
+
+/// How the segments of a line meet. The bitmap backend mitres them, which throws spikes where a line turns back on itself,
+/// so there each segment is drawn alone; SVG rounds them by itself.
+#[derive(Clone, Copy)]
+enum Joints {
+    Together,
+    Apart,
 }
 
 fn refused<E: std::error::Error + Send + Sync>(error: plotters::drawing::DrawingAreaErrorKind<E>) -> FigureError {
@@ -180,7 +199,12 @@ impl<B: DrawingBackend> Canvas<B> {
 
     fn path(&self, points: &[Pixel], style: ShapeStyle) -> Result<(), FigureError> {
         let points: Vec<(i32, i32)> = points.iter().map(|p| self.at(*p)).collect();
-        self.area.draw(&PathElement::new(points, style)).map_err(refused)
+        match self.joints {
+            Joints::Together => self.area.draw(&PathElement::new(points, style)).map_err(refused),
+            Joints::Apart => points
+                .windows(2)
+                .try_for_each(|pair| self.area.draw(&PathElement::new(pair.to_vec(), style)).map_err(refused)),
+        }
     }
 
     fn polygon(&self, points: &[Pixel], colour: RGBAColor) -> Result<(), FigureError> {

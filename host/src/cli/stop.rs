@@ -1,0 +1,25 @@
+//! `twum stop`.
+
+use super::connect::ConnectArgs;
+use anyhow::Result;
+use std::process::ExitCode;
+
+/// Arguments of `twum stop`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  twum stop --port /dev/ttyUSB0")]
+pub struct Args {
+    #[command(flatten)]
+    connect: ConnectArgs,
+}
+
+/// Runs `twum stop`.
+pub fn run(args: Args) -> Result<ExitCode> {
+    let mut session = args.connect.session()?;
+    let identity = session.hello()?;
+    session.stop()?;
+    match identity.fault {
+        Some(fault) => println!("stopped; cleared {fault:?}: {fault}"),
+        None => println!("stopped"),
+    }
+    Ok(ExitCode::SUCCESS)
+}
