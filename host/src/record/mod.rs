@@ -2,5 +2,11 @@
 
 pub mod check;
 pub mod convert;
+pub mod decode;
+pub mod export;
 pub mod measurement;
+pub mod recording;
 pub mod store;
+
+#[cfg(test)]
+pub(crate) mod synthetic;

@@ -1,9 +1,8 @@
 use super::writer::{CHANNEL_DEVICE, CHANNEL_HOST, CHANNEL_RECORDER};
-use super::{MAX_RECORD, METADATA_NAME, Metadata, Sender, StoreError, TOPIC_DEVICE, TOPIC_HOST, TOPIC_RECORDER};
+use super::{MAX_RECORD, METADATA_NAME, Metadata, Sender, StoreError};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -88,7 +87,6 @@ pub struct Reader {
     previous: u64,
     /// Sequence the next message should have.
     expected: Option<u32>,
-    channels: BTreeMap<u16, Channel>,
     integrity: Integrity,
     /// The record last read, without its opcode and length.
     current: Vec<u8>,
@@ -99,6 +97,18 @@ pub struct Reader {
 enum Channel {
     Frames(Sender),
     Remarks,
+}
+
+impl Channel {
+    /// The channel of an id. The ids are fixed: a damaged channel record then costs nothing.
+    fn of(id: u16) -> Option<Self> {
+        match id {
+            CHANNEL_DEVICE => Some(Self::Frames(Sender::Device)),
+            CHANNEL_HOST => Some(Self::Frames(Sender::Host)),
+            CHANNEL_RECORDER => Some(Self::Remarks),
+            _ => None,
+        }
+    }
 }
 
 /// What a record turned out to be.
@@ -146,11 +156,6 @@ impl Reader {
             position: mcap::MAGIC.len() as u64,
             previous: 0,
             expected: None,
-            channels: BTreeMap::from([
-                (CHANNEL_DEVICE, Channel::Frames(Sender::Device)),
-                (CHANNEL_HOST, Channel::Frames(Sender::Host)),
-                (CHANNEL_RECORDER, Channel::Remarks),
-            ]),
             integrity: Integrity::default(),
             current: Vec::new(),
             ended: false,
@@ -224,7 +229,7 @@ impl Reader {
             Some(Ok(opcode)) => opcode,
             Some(Err(McapError::UnexpectedEof)) => {
                 // Cut off, unless a damaged length made a record swallow the rest of the file.
-                let swallowed = self.find_message(failed_at + 1, None)?.is_some();
+                let swallowed = self.ends_with_magic()? || self.find_message(failed_at + 1, None)?.is_some();
                 return Ok(if swallowed { unreadable } else { self.end(Ending::Stopped) });
             }
             Some(Err(McapError::BadDataCrc { .. })) => {
@@ -235,31 +240,20 @@ impl Reader {
             None => return Ok(self.end(Ending::Stopped)),
         };
         Ok(match opcode {
-            op::MESSAGE => match message(&self.current, &self.channels) {
+            op::MESSAGE => match message(&self.current) {
                 Some((channel, header)) => {
                     self.count_missing(header.sequence);
                     Step::Message { channel, log_time: header.log_time }
                 }
                 None => Step::Damage { from: failed_at + 1, except: None },
             },
-            op::CHANNEL => {
-                if let Ok(Record::Channel(record)) = mcap::parse_record(opcode, &self.current) {
-                    let channel = match record.topic.as_str() {
-                        TOPIC_DEVICE => Some(Channel::Frames(Sender::Device)),
-                        TOPIC_HOST => Some(Channel::Frames(Sender::Host)),
-                        TOPIC_RECORDER => Some(Channel::Remarks),
-                        _ => None,
-                    };
-                    self.channels.extend(channel.map(|channel| (record.id, channel)));
-                }
-                Step::Other
-            }
-            op::CHUNK => {
+            op::CHUNK if matches!(mcap::parse_record(opcode, &self.current), Ok(Record::Chunk { .. })) => {
                 return Err(StoreError::not(
                     &self.path,
                     "another program has rewritten it in chunks: give the file that twum recorded",
                 ));
             }
+            op::CHUNK => unreadable,
             op::DATA_END => self.end(Ending::Finished),
             op::HEADER..=op::DATA_END => Step::Other,
             _ => unreadable,
@@ -319,6 +313,15 @@ impl Reader {
         Ok(())
     }
 
+    /// Whether the file ends as a finished one does.
+    fn ends_with_magic(&mut self) -> Result<bool, StoreError> {
+        let io_error = |reason| StoreError::io(&self.path, reason);
+        let mut end = Vec::new();
+        self.file.seek(SeekFrom::End(-(mcap::MAGIC.len() as i64))).map_err(io_error)?;
+        self.file.read_to_end(&mut end).map_err(io_error)?;
+        Ok(end == mcap::MAGIC)
+    }
+
     /// Where the next plausible message record starts, from `from` on. Its two equal times and its known channel make a
     /// false one as good as impossible.
     fn find_message(&mut self, from: u64, except: Option<u64>) -> Result<Option<u64>, StoreError> {
@@ -333,7 +336,7 @@ impl Reader {
                 let length = u64::from_le_bytes(bytes[1..9].try_into().expect("8 bytes"));
                 let plausible = bytes[0] == op::MESSAGE
                     && (MESSAGE_HEAD as u64..=MAX_RECORD as u64).contains(&length)
-                    && self.channels.contains_key(&u16::from_le_bytes([bytes[9], bytes[10]]))
+                    && Channel::of(u16::from_le_bytes([bytes[9], bytes[10]])).is_some()
                     && bytes[15..23] == bytes[23..31]
                     && Some(window_start + offset as u64) != except;
                 if plausible {
@@ -355,9 +358,9 @@ fn bounded(options: LinearReaderOptions) -> LinearReaderOptions {
 }
 
 /// The channel and header of a message record, if it is one of ours.
-fn message(data: &[u8], channels: &BTreeMap<u16, Channel>) -> Option<(Channel, MessageHeader)> {
+fn message(data: &[u8]) -> Option<(Channel, MessageHeader)> {
     let Ok(Record::Message { header, data }) = mcap::parse_record(op::MESSAGE, data) else { return None };
-    let channel = *channels.get(&header.channel_id)?;
+    let channel = Channel::of(header.channel_id)?;
     let (_, before_last) = data.split_last()?;
     let one_frame = channel == Channel::Remarks || !before_last.contains(&0);
     (header.log_time == header.publish_time && one_frame).then_some((channel, header))

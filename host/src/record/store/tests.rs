@@ -176,30 +176,36 @@ fn a_full_disk_is_reported_and_ends_the_recording() {
     assert_eq!(error.kind(), std::io::ErrorKind::StorageFull);
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
-
-    /// One damaged byte costs at most the frame it lies in, and is noticed where it costs one whole.
-    #[test]
-    fn a_damaged_byte_costs_at_most_its_frame(at: prop::sample::Index, flip in 1u8..=255) {
-        let dir = tempfile::tempdir().unwrap();
-        let path = record(&dir, 60, true);
-        let mut bytes = fs::read(&path).unwrap();
-        let at = at.index(bytes.len());
-        bytes[at] ^= flip;
-        fs::write(&path, &bytes).unwrap();
-        if Reader::open(&path).is_err() {
-            prop_assert!(at < 1000, "byte {} made the whole file unreadable", at);
-            return Ok(());
-        }
-        let (frames, integrity) = read(&path);
-        let all = expected(60);
-        let intact = all.iter().filter(|frame| frames.contains(frame)).count();
-        prop_assert!(intact >= 59, "byte {} cost {} frames: {:?}", at, 60 - intact, integrity);
-        if frames.len() < 60 {
-            prop_assert!(!integrity.is_whole());
+/// One damaged byte costs at most the frame it lies in, and is noticed where it costs one.
+#[test]
+fn a_damaged_byte_costs_at_most_its_frame() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = record(&dir, 10, true);
+    let intact = fs::read(&path).unwrap();
+    let all = expected(10);
+    let mut unreadable = 0;
+    for at in 0..intact.len() {
+        for flip in [0x01, 0x03, 0x40, 0xff] {
+            let mut bytes = intact.clone();
+            bytes[at] ^= flip;
+            fs::write(&path, &bytes).unwrap();
+            if Reader::open(&path).is_err() {
+                unreadable = at;
+                continue;
+            }
+            let (frames, integrity) = read(&path);
+            // Times may move: the start stands once, in the metadata.
+            let kept = all.iter().filter(|(_, _, bytes)| frames.iter().any(|frame| &frame.2 == bytes)).count();
+            assert!(kept >= 9, "byte {at} ^ {flip:#x} cost {} frames: {integrity:?}", 10 - kept);
+            assert!(frames.len() >= 10 || !integrity.is_whole(), "byte {at} ^ {flip:#x}: {integrity:?}");
         }
     }
+    // Only the metadata, at the beginning, is not there twice.
+    assert!(unreadable < 550, "byte {unreadable} made the whole file unreadable");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(100))]
 
     #[test]
     fn arbitrary_bytes_behind_a_valid_beginning_never_panic(junk in prop::collection::vec(any::<u8>(), 0..4000)) {

@@ -1,0 +1,156 @@
+//! From the raw frames of a recording to messages, with every loss counted.
+
+use super::store::{Entry, Integrity, Metadata, Reader, Sender, StoreError};
+use serde::Serialize;
+use std::path::Path;
+use twum_shared::frame::{self, FrameError, Header, MAX_ENCODED};
+use twum_shared::message::{DeviceMessage, HostMessage};
+
+/// One decoded thing of a recording.
+#[derive(Debug, Clone, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "one at a time is alive; boxing each would cost an allocation a frame")]
+pub enum Item {
+    /// A message of the board.
+    Device {
+        /// Counts the board's starts: its clock, its sequence and its indices begin anew with each.
+        session: u32,
+        /// Host time in ns from the start of the recording.
+        host_time_ns: u64,
+        /// Sequence and device time.
+        header: Header,
+        /// The message.
+        message: DeviceMessage,
+    },
+    /// A message of the host.
+    Host {
+        /// Host time in ns from the start of the recording.
+        host_time_ns: u64,
+        /// Its sequence.
+        header: Header,
+        /// The message.
+        message: HostMessage,
+    },
+    /// Bytes on the line that are no frame.
+    Broken {
+        /// Who sent them.
+        sender: Sender,
+        /// Host time in ns from the start of the recording.
+        host_time_ns: u64,
+        /// What is wrong with them.
+        error: FrameError,
+    },
+    /// A remark of the recorder, `{"event": "..."}`.
+    Remark {
+        /// Host time in ns from the start of the recording.
+        host_time_ns: u64,
+        /// The remark.
+        json: String,
+    },
+}
+
+/// What the line did to the frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct LinkStatistics {
+    /// Intact frames of the board.
+    pub device_frames: u64,
+    /// Intact frames of the host.
+    pub host_frames: u64,
+    /// Frames that arrived broken.
+    pub broken_frames: u64,
+    /// Sequence numbers of the board that never arrived: frames lost on the line, and losses the board itself reports.
+    pub missing_sequences: u64,
+    /// Places in the stream where sequence numbers are missing.
+    pub gaps: u64,
+    /// Starts of the board.
+    pub sessions: u32,
+}
+
+/// Decodes a recording from beginning to end.
+#[derive(Debug)]
+pub struct Decoder {
+    reader: Reader,
+    statistics: LinkStatistics,
+    /// Sequence and device time of the board's frame before.
+    last: Option<Header>,
+}
+
+impl Decoder {
+    /// Opens a recording.
+    ///
+    /// # Errors
+    /// As [`Reader::open`].
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
+        Ok(Self { reader: Reader::open(path)?, statistics: LinkStatistics::default(), last: None })
+    }
+
+    /// What the recording says about itself.
+    pub fn metadata(&self) -> &Metadata {
+        self.reader.metadata()
+    }
+
+    /// The state of the file as far as it was read.
+    pub fn integrity(&self) -> Integrity {
+        self.reader.integrity()
+    }
+
+    /// What the line did, as far as it was read.
+    pub fn statistics(&self) -> LinkStatistics {
+        self.statistics
+    }
+
+    /// The next item, `None` at the end.
+    ///
+    /// # Errors
+    /// As [`Reader::next_entry`].
+    pub fn next_item(&mut self) -> Result<Option<Item>, StoreError> {
+        loop {
+            let item = match self.reader.next_entry()? {
+                None => return Ok(None),
+                Some(Entry::Remark { host_time_ns, json }) => Item::Remark { host_time_ns, json: json.to_owned() },
+                // A separator alone ends nothing.
+                Some(Entry::Frame { bytes: [0], .. }) => continue,
+                Some(Entry::Frame { sender: Sender::Device, host_time_ns, bytes }) => match decode(bytes) {
+                    Ok((header, message)) => {
+                        self.statistics.device_frames += 1;
+                        let session = self.follow(header);
+                        Item::Device { session, host_time_ns, header, message }
+                    }
+                    Err(error) => Item::Broken { sender: Sender::Device, host_time_ns, error },
+                },
+                Some(Entry::Frame { sender: Sender::Host, host_time_ns, bytes }) => match decode(bytes) {
+                    Ok((header, message)) => {
+                        self.statistics.host_frames += 1;
+                        Item::Host { host_time_ns, header, message }
+                    }
+                    Err(error) => Item::Broken { sender: Sender::Host, host_time_ns, error },
+                },
+            };
+            self.statistics.broken_frames += u64::from(matches!(item, Item::Broken { .. }));
+            return Ok(Some(item));
+        }
+    }
+
+    /// Follows the board's sequence and clock; gives the session the frame belongs to.
+    fn follow(&mut self, header: Header) -> u32 {
+        match self.last.replace(header) {
+            Some(last) if header.time_us >= last.time_us => {
+                // Half the range and more is a number that came twice or too late, not a gap.
+                let missing = header.sequence.wrapping_sub(last.sequence).wrapping_sub(1);
+                let missing = if missing < 1 << 31 { missing } else { 0 };
+                self.statistics.missing_sequences += u64::from(missing);
+                self.statistics.gaps += u64::from(missing > 0);
+            }
+            // Only a restart sets the board's clock back.
+            _ => self.statistics.sessions += 1,
+        }
+        self.statistics.sessions.saturating_sub(1)
+    }
+}
+
+fn decode<M: frame::Message>(bytes: &[u8]) -> Result<(Header, M), FrameError> {
+    let mut block = [0; MAX_ENCODED];
+    let Some((0, content)) = bytes.split_last() else { return Err(FrameError::NotAFrame) };
+    let block = block.get_mut(..content.len()).ok_or(FrameError::TooLong)?;
+    block.copy_from_slice(content);
+    frame::decode(block)
+}
