@@ -1,0 +1,268 @@
+//! From a measured run to what a model is held against: times, angles and the windows between edges.
+
+use super::rotor::{Period, Schedule};
+use crate::record::measurement::{Direction, Run, RunData, RunKind};
+use std::f64::consts::TAU;
+
+/// A stretch between two measured times over which the measured angle advance is known (or bounded).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Window {
+    /// Index of the first time.
+    pub from: usize,
+    /// Index of the second time.
+    pub to: usize,
+    /// Smallest angle advance the record allows, in rad.
+    pub low: f64,
+    /// Largest angle advance the record allows, in rad (equal to `low` between two edges).
+    pub high: f64,
+}
+
+/// One run, ready to be held against a model.
+#[derive(Debug, Clone)]
+pub struct Observed {
+    /// `folder/run` name for messages.
+    pub id: String,
+    /// Closed loop or open loop.
+    pub kind: RunKind,
+    /// Commanded on fraction of an open-loop run.
+    pub duty: Option<f64>,
+    /// Commanded direction's sign (1 where unknown or changing).
+    pub direction: f64,
+    /// Whether the direction was stated.
+    pub direction_known: bool,
+    /// PWM frequency in Hz.
+    pub pwm_hz: f64,
+    /// Order in which the runs were made.
+    pub order: Option<u32>,
+    /// The drive.
+    pub schedule: Schedule,
+    /// End of the drive in s.
+    pub drive_end: f64,
+    /// Measured times in s.
+    pub times: Vec<f64>,
+    /// Measured angle at the times in rad.
+    pub angles: Vec<f64>,
+    /// Encoder level after each time: 1, -1, or 0 where unknown.
+    pub level: Vec<i8>,
+    /// What is compared.
+    pub windows: Vec<Window>,
+    /// Encoder pitch in rad (0 where the data carry speed instead of edges).
+    pub pitch: f64,
+    /// Spread (standard deviation) of a measured time in s: quantisation of the sampling.
+    pub time_spread: f64,
+    /// End of the record in s.
+    pub record_end: f64,
+}
+
+impl Observed {
+    /// Duration of a window in s.
+    pub fn duration(&self, w: &Window) -> f64 {
+        self.times[w.to] - self.times[w.from]
+    }
+
+    /// Total time compared, in s.
+    pub fn compared_s(&self) -> f64 {
+        self.windows.iter().map(|w| self.duration(w)).sum()
+    }
+
+    /// Revolutions made during the run.
+    pub fn revolutions(&self) -> f64 {
+        let mut total = 0.0;
+        for pair in self.angles.windows(2) {
+            total += (pair[1] - pair[0]).abs();
+        }
+        total / TAU
+    }
+
+    /// Mean speed over the drive in rpm.
+    pub fn mean_speed_rpm(&self) -> f64 {
+        let (mut angle, mut time) = (0.0, 0.0);
+        for w in &self.windows {
+            if self.times[w.to] <= self.drive_end + 1e-9 && w.low == w.high {
+                angle += w.low;
+                time += self.duration(w);
+            }
+        }
+        if time > 0.0 { angle / time * 60.0 / TAU } else { 0.0 }
+    }
+}
+
+/// Why a run cannot be used.
+pub type Refusal = String;
+
+/// Prepares one run of the TWUM plant. `edges_per_rev` as in the measurement.
+pub fn observe(run: &Run, edges_per_rev: u32) -> Result<Observed, Refusal> {
+    let pitch = TAU / f64::from(edges_per_rev.max(1));
+    let sign = run.direction.map_or(1.0, Direction::sign);
+    let mut o = Observed {
+        id: run.id.clone(),
+        kind: run.kind,
+        duty: run.duty,
+        direction: sign,
+        direction_known: run.direction.is_some(),
+        pwm_hz: run.pwm_hz,
+        order: run.order,
+        schedule: Schedule::default(),
+        drive_end: 0.0,
+        times: Vec::new(),
+        angles: Vec::new(),
+        level: Vec::new(),
+        windows: Vec::new(),
+        pitch,
+        time_spread: 0.0,
+        record_end: 0.0,
+    };
+    match &run.data {
+        RunData::Levels { start_us, period_us, levels } => {
+            if levels.len() < 2 {
+                return Err(format!("run {}: {} samples, too few to show an edge", run.id, levels.len()));
+            }
+            let edges: Vec<(f64, bool)> = (1..levels.len())
+                .filter(|i| levels[*i] != levels[*i - 1])
+                .map(|i| ((start_us + (i as f64 - 0.5) * period_us) * 1e-6, levels[i]))
+                .collect();
+            o.time_spread = period_us * 1e-6 / 12f64.sqrt();
+            let end = (start_us + (levels.len() - 1) as f64 * period_us) * 1e-6;
+            from_edges(&mut o, run, &edges, levels[0], start_us * 1e-6, end)?;
+        }
+        RunData::Edges { initial, start_us, edges, end_us } => {
+            let list: Vec<(f64, bool)> = edges.iter().map(|e| (e.time_us * 1e-6, e.level)).collect();
+            o.time_spread = 2e-6;
+            from_edges(&mut o, run, &list, *initial, start_us * 1e-6, end_us * 1e-6)?;
+        }
+        RunData::Velocity { time_us, rpm } => {
+            if rpm.len() < 10 {
+                return Err(format!("run {}: {} speed samples, too few", run.id, rpm.len()));
+            }
+            let duty = run.duty.ok_or_else(|| format!("run {}: no duty given", run.id))?;
+            o.pitch = 0.0;
+            o.record_end = time_us[time_us.len() - 1] * 1e-6;
+            o.drive_end = run.drive_on_s.unwrap_or(o.record_end);
+            o.schedule = Schedule::constant(duty, sign, run.pwm_hz, run.pwm_phase_s, o.drive_end);
+            let mut angle = 0.0;
+            let n = rpm.len();
+            for k in 0..=n {
+                let t = if k == 0 {
+                    1.5 * time_us[0] - 0.5 * time_us[1]
+                } else if k == n {
+                    1.5 * time_us[n - 1] - 0.5 * time_us[n - 2]
+                } else {
+                    0.5 * (time_us[k - 1] + time_us[k])
+                } * 1e-6;
+                if k > 0 {
+                    let before = o.times[k - 1];
+                    let advance = rpm[k - 1] * TAU / 60.0 * (t - before);
+                    angle += advance;
+                    o.windows.push(Window { from: k - 1, to: k, low: advance, high: advance });
+                }
+                o.times.push(t);
+                o.angles.push(angle);
+                o.level.push(0);
+            }
+        }
+        RunData::Control(rows) => {
+            if rows.len() < 10 {
+                return Err(format!("run {}: {} control samples, too few", run.id, rows.len()));
+            }
+            control(&mut o, run, rows, pitch);
+        }
+        RunData::Drive { .. } => {
+            return Err(format!("run {}: format `drive` belongs to an ordinary motor (motor = \"inertial\")", run.id));
+        }
+    }
+    if !o.times.iter().chain(&o.angles).all(|v| v.is_finite()) {
+        return Err(format!("run {}: a time or value is not a number", run.id));
+    }
+    Ok(o)
+}
+
+fn from_edges(
+    o: &mut Observed,
+    run: &Run,
+    edges: &[(f64, bool)],
+    initial: bool,
+    start: f64,
+    end: f64,
+) -> Result<(), Refusal> {
+    let duty = run.duty.ok_or_else(|| {
+        format!("run {}: no duty given, so the drive is unknown; add `duty` to its [[run]] table", run.id)
+    })?;
+    o.record_end = end;
+    o.drive_end = run.drive_on_s.unwrap_or(end);
+    o.schedule = Schedule::constant(duty, o.direction, run.pwm_hz, run.pwm_phase_s, o.drive_end);
+    let word = |level: bool| if level { 1 } else { -1 };
+    let start = start.max(0.0);
+    let end = end.min(o.drive_end + 0.2);
+    let step = o.direction * o.pitch;
+    o.times.push(start);
+    o.angles.push(0.0);
+    o.level.push(word(initial));
+    let mut angle = 0.0;
+    for (t, level) in edges {
+        if *t <= start || *t > end {
+            continue;
+        }
+        let k = o.times.len();
+        angle += if k == 1 { 0.5 * step } else { step };
+        o.times.push(*t);
+        o.angles.push(angle);
+        o.level.push(word(*level));
+        if k == 1 {
+            o.windows.push(Window { from: 0, to: 1, low: step.min(0.0), high: step.max(0.0) });
+        } else {
+            o.windows.push(Window { from: k - 1, to: k, low: step, high: step });
+        }
+    }
+    let k = o.times.len();
+    if end > o.times[k - 1] + 1e-9 {
+        o.times.push(end);
+        o.angles.push(angle);
+        o.level.push(0);
+        o.windows.push(Window { from: k - 1, to: k, low: step.min(0.0), high: step.max(0.0) });
+    }
+    Ok(())
+}
+
+fn control(o: &mut Observed, run: &Run, rows: &[crate::record::measurement::ControlRow], pitch: f64) {
+    let t0 = rows[0].time_us * 1e-6;
+    let seconds = |us: f64| us * 1e-6;
+    o.record_end = seconds(rows[rows.len() - 1].time_us);
+    o.drive_end = o.record_end;
+    let tick = (o.record_end - t0) / (rows.len() - 1) as f64;
+    o.time_spread = tick / 12f64.sqrt();
+    let period = 1.0 / run.pwm_hz;
+    let mut index = 0;
+    let mut start = -run.pwm_phase_s.rem_euclid(period);
+    while start < o.record_end {
+        while index + 1 < rows.len() && seconds(rows[index + 1].time_us) <= start + 1e-9 {
+            index += 1;
+        }
+        let duty = if seconds(rows[index].time_us) <= start + 1e-9 { rows[index].duty } else { 0.0 };
+        o.schedule.periods.push(Period { start, end: start + period, duty });
+        start += period;
+    }
+    o.schedule.directions.push((0.0, rows[0].direction.sign()));
+    for pair in rows.windows(2) {
+        if pair[0].direction != pair[1].direction {
+            o.schedule.directions.push((seconds(pair[1].time_us), pair[1].direction.sign()));
+        }
+    }
+    o.times.push(t0);
+    o.angles.push(rows[0].position * pitch);
+    o.level.push(0);
+    for pair in rows.windows(2) {
+        let change = pair[1].position - pair[0].position;
+        if change == 0.0 {
+            continue;
+        }
+        let k = o.times.len();
+        let t = 0.5 * (seconds(pair[0].time_us) + seconds(pair[1].time_us));
+        let advance = change * pitch;
+        o.times.push(t);
+        o.angles.push(pair[1].position * pitch);
+        o.level.push(if (pair[1].position.rem_euclid(2.0) - 1.0).abs() < 0.5 { 1 } else { -1 });
+        if k > 1 {
+            o.windows.push(Window { from: k - 1, to: k, low: advance, high: advance });
+        }
+    }
+}

@@ -1,0 +1,456 @@
+//! The rotor equation the diagnosis searches with: drive phases, a saturating drive torque, Coulomb braking.
+//!
+//! It is the averaged motor model reduced once more. Between two switching instants the drive pulls the rotor towards the
+//! free speed of the wave with a torque that is constant (friction is saturated) until the speed comes within a slip band of
+//! the wave's, and proportional inside the band; with the wave off, Coulomb friction brakes. Both have closed forms, so
+//! a run is stepped from event to event, without a truncation error and thousands of times faster than real time.
+//!
+//! Everything an effect of the library can change is a parameter here, with the value 0 for "absent".
+
+/// Number of scalar parameters, see [`P`].
+pub const PARAMETERS: usize = P::ALL.len();
+
+/// One scalar parameter of the rotor equation. The first ones are the baseline's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(usize)]
+pub enum P {
+    /// Free speed under drive in rad/s (the force factor sets it).
+    FreeSpeed,
+    /// Drive torque over inertia in rad/s² (contact friction sets it).
+    OnAcceleration,
+    /// Braking torque with the wave off over inertia in rad/s² (off-phase friction).
+    OffDeceleration,
+    /// Viscous damping over inertia in 1/s.
+    Viscous,
+    /// Common delay of the record behind the drive in s (a nuisance, not physics).
+    Latency,
+    /// Width of the slip band as a fraction of the free speed (contact stiffness and exponent).
+    SlipBand,
+    /// `resonance-heating`: speed lost when warm, as a fraction at full duty.
+    HeatLoss,
+    /// `resonance-heating`: thermal time constant in s.
+    HeatTau,
+    /// `resonance-heating`: share of the warmth that survives until the next run.
+    HeatCarry,
+    /// `frequency-settling`: relative speed excess at the start of a drive.
+    SettleExcess,
+    /// `frequency-settling`: time constant in s.
+    SettleTau,
+    /// `dead-zone`: duty below which nothing moves.
+    DeadDuty,
+    /// `start-delay`: delay of the wave after each PWM rise, in s.
+    StartDelay,
+    /// `duty-quantisation`: how much of the rounding error acts (1 = all of it).
+    QuantShare,
+    /// `duty-quantisation`: number of duty steps.
+    QuantSteps,
+    /// `high-duty-saturation`: 1/us.
+    Saturation,
+    /// `contact-stiffening`: addition to the slip band.
+    SlipExtra,
+    /// `direction-asymmetry`: relative speed difference, half of cw minus ccw.
+    AsymSpeed,
+    /// `direction-asymmetry`: relative braking difference, half of cw minus ccw.
+    AsymBrake,
+    /// `clock-error`: relative error of the recorder's clock.
+    ClockError,
+    /// `unequal-edges`: excess of the high slots as a fraction of a pitch.
+    EdgeOffset,
+    /// `stribeck-friction`: extra friction at rest over inertia in rad/s².
+    StribeckDeceleration,
+    /// `stribeck-friction`: Stribeck speed in rad/s.
+    StribeckSpeed,
+    /// `supply-sag`: relative speed lost at full duty.
+    Sag,
+    /// `run-in-wear`: relative speed change per unit of log(1 + revs/r0).
+    Wear,
+    /// `run-in-wear`: r0 in revolutions.
+    WearRevolutions,
+    /// `backlash`: lost motion at a reversal, in rad.
+    Backlash,
+    /// `reversal-miscount`: counts gained in the positive sense per reversal to cw (signed).
+    Miscount,
+    /// `presliding`: elastic return after the drive ends, in rad.
+    Presliding,
+}
+
+impl P {
+    /// All parameters in index order.
+    pub const ALL: [P; 29] = [
+        P::FreeSpeed,
+        P::OnAcceleration,
+        P::OffDeceleration,
+        P::Viscous,
+        P::Latency,
+        P::SlipBand,
+        P::HeatLoss,
+        P::HeatTau,
+        P::HeatCarry,
+        P::SettleExcess,
+        P::SettleTau,
+        P::DeadDuty,
+        P::StartDelay,
+        P::QuantShare,
+        P::QuantSteps,
+        P::Saturation,
+        P::SlipExtra,
+        P::AsymSpeed,
+        P::AsymBrake,
+        P::ClockError,
+        P::EdgeOffset,
+        P::StribeckDeceleration,
+        P::StribeckSpeed,
+        P::Sag,
+        P::Wear,
+        P::WearRevolutions,
+        P::Backlash,
+        P::Miscount,
+        P::Presliding,
+    ];
+}
+
+/// Values of all parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameters([f64; PARAMETERS]);
+
+impl Parameters {
+    /// A rotor with no effect present.
+    pub fn new(free_speed: f64, on_acceleration: f64, off_deceleration: f64, viscous: f64, slip_band: f64) -> Self {
+        let mut p = Self([0.0; PARAMETERS]);
+        p.set(P::FreeSpeed, free_speed);
+        p.set(P::OnAcceleration, on_acceleration);
+        p.set(P::OffDeceleration, off_deceleration);
+        p.set(P::Viscous, viscous);
+        p.set(P::SlipBand, slip_band);
+        p.set(P::HeatTau, 1.0);
+        p.set(P::SettleTau, 0.03);
+        p.set(P::QuantSteps, 32.0);
+        p.set(P::StribeckSpeed, 0.5);
+        p.set(P::WearRevolutions, 1.0);
+        p
+    }
+
+    /// The value of one parameter.
+    pub fn get(&self, p: P) -> f64 {
+        self.0[p as usize]
+    }
+
+    /// Sets one parameter.
+    pub fn set(&mut self, p: P, value: f64) {
+        self.0[p as usize] = value;
+    }
+
+    /// The same values with one changed.
+    pub fn with(&self, p: P, value: f64) -> Self {
+        let mut other = self.clone();
+        other.set(p, value);
+        other
+    }
+}
+
+/// What belongs to one run alone: rotor angle is unknown between runs, so angle-dependent effects have a phase a run.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RunTerms {
+    /// Drive modulation: cos θ, sin θ, cos 2θ, sin 2θ (relative).
+    pub runout: [f64; 4],
+    /// Encoder angle error: cos θ, sin θ coefficients in rad.
+    pub eccentricity: [f64; 2],
+    /// Load torque over inertia: cos θ, sin θ coefficients in rad/s².
+    pub gravity: [f64; 2],
+}
+
+/// One PWM period, or any stretch of time with one duty.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Period {
+    /// Start and end in s; drive is in the last `duty` fraction.
+    pub start: f64,
+    /// End in s.
+    pub end: f64,
+    /// Fraction of the period with drive on.
+    pub duty: f64,
+}
+
+/// How a run was driven.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Schedule {
+    /// PWM periods in time order; the drive is off before the first and after the last.
+    pub periods: Vec<Period>,
+    /// Direction pin: sign from this time on, in time order, first at or before the first period.
+    pub directions: Vec<(f64, f64)>,
+}
+
+impl Schedule {
+    /// Constant duty and direction from 0 to `on_s`, periods of `1/pwm_hz`, `phase_s` into a period at t = 0.
+    pub fn constant(duty: f64, direction: f64, pwm_hz: f64, phase_s: f64, on_s: f64) -> Self {
+        let period = 1.0 / pwm_hz;
+        let mut periods = Vec::with_capacity((on_s / period) as usize + 2);
+        let mut k = 0;
+        loop {
+            let start = k as f64 * period - phase_s.rem_euclid(period);
+            if start >= on_s || duty <= 0.0 {
+                break;
+            }
+            periods.push(Period { start, end: start + period, duty });
+            k += 1;
+        }
+        Self { periods, directions: vec![(0.0, direction)] }
+    }
+
+    /// Total time with drive on, in s, up to `until`.
+    pub fn drive_time(&self) -> f64 {
+        self.periods.iter().map(|p| (p.end - p.start) * p.duty).sum()
+    }
+}
+
+/// What a simulation of one run needs beside the parameters.
+#[derive(Debug, Clone)]
+pub struct RunInput<'a> {
+    /// The drive.
+    pub schedule: &'a Schedule,
+    /// Drive is off from here on, in s (cuts the last period).
+    pub drive_end: f64,
+    /// Measured times in s, ascending, at which the angle is wanted.
+    pub times: &'a [f64],
+    /// Measured angle at these times in rad (angle-dependent effects read it).
+    pub angles: &'a [f64],
+    /// Warmth carried into this run, 0..1.
+    pub warmth: f64,
+    /// Revolutions made before this run.
+    pub revolutions: f64,
+}
+
+struct State {
+    t: f64,
+    angle: f64,
+    speed: f64,
+}
+
+/// Rotor angle in rad at every measured time, and the rotor speed there in rad/s.
+pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut Vec<f64>, speed: &mut Vec<f64>) {
+    angle.clear();
+    speed.clear();
+    let clock = 1.0 + p.get(P::ClockError);
+    let latency = p.get(P::Latency);
+    let true_time = |k: usize| (input.times[k] - latency) / clock;
+    let count = input.times.len();
+    let mut next = 0;
+    let mut warmth = input.warmth;
+    let heat_loss = p.get(P::HeatLoss);
+    let heat_tau = p.get(P::HeatTau).max(1e-3);
+    let settle = p.get(P::SettleExcess);
+    let settle_tau = p.get(P::SettleTau).max(1e-4);
+    let wear = p.get(P::Wear) * (1.0 + input.revolutions / p.get(P::WearRevolutions).max(1e-6)).ln();
+    let wear_slope = p.get(P::Wear);
+    let wear_r0 = p.get(P::WearRevolutions).max(1e-6);
+    let sag = p.get(P::Sag);
+    let free_speed = p.get(P::FreeSpeed);
+    let on_acceleration = p.get(P::OnAcceleration).max(1.0);
+    let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
+    let viscous = p.get(P::Viscous);
+    let stribeck = p.get(P::StribeckDeceleration);
+    let stribeck_speed = p.get(P::StribeckSpeed).max(1e-3);
+    let has_angle = terms.runout.iter().chain(&terms.gravity).any(|c| *c != 0.0);
+    let mut step_limit: f64 = 0.02;
+    if settle != 0.0 {
+        step_limit = step_limit.min(settle_tau * 0.3).max(1e-3);
+    }
+    if has_angle {
+        step_limit = step_limit.min(4e-3);
+    }
+    if viscous != 0.0 {
+        step_limit = step_limit.min(0.02 / viscous.max(1e-9)).max(5e-4);
+    }
+    if stribeck != 0.0 {
+        step_limit = 2.5e-4;
+    }
+    let mut measured = 0;
+    let mut state = State { t: 0.0, angle: 0.0, speed: 0.0 };
+    let mut direction_index = 0;
+    let directions = &input.schedule.directions;
+
+    // Advances to `until` with the drive on or off, answering queries on the way.
+    let mut advance = |state: &mut State, until: f64, on: bool, duty: f64, warmth: f64, next: &mut usize| {
+        while state.t < until - 1e-12 && *next < count {
+            while direction_index + 1 < directions.len() && directions[direction_index + 1].0 <= state.t + 1e-12 {
+                direction_index += 1;
+            }
+            let sign = directions.get(direction_index).map_or(1.0, |d| d.1);
+            let mut end = until.min(state.t + step_limit);
+            if let Some(d) = directions.get(direction_index + 1) {
+                end = end.min(d.0);
+            }
+            let mut external = -viscous * state.speed;
+            let mut modulation = 0.0;
+            if has_angle {
+                let now = state.t * clock + latency;
+                while measured + 1 < count && input.times[measured + 1] <= now {
+                    measured += 1;
+                }
+                let theta = input.angles[measured];
+                let (s, c) = theta.sin_cos();
+                modulation = terms.runout[0] * c
+                    + terms.runout[1] * s
+                    + terms.runout[2] * (c * c - s * s)
+                    + terms.runout[3] * 2.0 * s * c;
+                external += terms.gravity[0] * c + terms.gravity[1] * s;
+            }
+            if stribeck != 0.0 {
+                let x = state.speed / stribeck_speed;
+                let sense = if state.speed != 0.0 { state.speed.signum() } else { sign };
+                let grip = stribeck * (-x * x).exp();
+                external -= if on || state.speed != 0.0 { sense * grip } else { 0.0 };
+            }
+            let mut brake = p.get(P::OffDeceleration).max(0.0);
+            brake *= (1.0 + sign * p.get(P::AsymBrake)).max(0.0);
+            let mut target = 0.0;
+            let mut acceleration = on_acceleration;
+            if on {
+                let mut gain = 1.0 - heat_loss * warmth - sag * duty + sign * p.get(P::AsymSpeed) + modulation + wear;
+                if wear_slope != 0.0 {
+                    let revs = input.revolutions + state.angle.abs() / std::f64::consts::TAU;
+                    gain += wear_slope * ((1.0 + revs / wear_r0) / (1.0 + input.revolutions / wear_r0)).ln();
+                }
+                if settle != 0.0 {
+                    let middle = 0.5 * (state.t + end);
+                    gain += settle * (-middle / settle_tau).exp();
+                }
+                target = sign * free_speed * gain.max(0.0);
+                acceleration *= (1.0 + modulation).max(0.01);
+            }
+            let band = (band_fraction * target.abs()).max(1e-6);
+            while state.t < end - 1e-12 && *next < count {
+                let piece = if on {
+                    on_piece(state.speed, target, acceleration, band, external)
+                } else {
+                    off_piece(state.speed, brake, external)
+                };
+                let stop = (state.t + piece.duration.max(1e-9)).min(end);
+                while *next < count {
+                    let tq = true_time(*next);
+                    if tq > stop {
+                        break;
+                    }
+                    let (a, w) = piece.at(state.speed, (tq - state.t).max(0.0));
+                    angle.push(state.angle + a);
+                    speed.push(w);
+                    *next += 1;
+                }
+                let (a, w) = piece.at(state.speed, stop - state.t);
+                state.angle += a;
+                state.speed = w;
+                state.t = stop;
+            }
+        }
+    };
+
+    for period in &input.schedule.periods {
+        if period.start >= input.drive_end || next >= count {
+            break;
+        }
+        let length = period.end - period.start;
+        let duty = effective_duty(period.duty, p);
+        let mut on_from = period.end - duty * length;
+        if duty < 1.0 - 1e-9 {
+            on_from += p.get(P::StartDelay);
+        } else if period.start <= 0.0 {
+            on_from = on_from.max(0.0) + p.get(P::StartDelay);
+        }
+        let on_from = on_from.clamp(period.start, period.end).min(input.drive_end);
+        let off_until = period.end.min(input.drive_end);
+        advance(&mut state, on_from, false, duty, warmth, &mut next);
+        if duty > 0.0 {
+            advance(&mut state, off_until, true, duty, warmth, &mut next);
+        }
+        if heat_loss != 0.0 {
+            warmth = duty + (warmth - duty) * (-length / heat_tau).exp();
+        }
+    }
+    if next < count {
+        let last = true_time(count - 1).max(state.t) + 1e-6;
+        advance(&mut state, last, false, 0.0, warmth, &mut next);
+    }
+    // Times before the start of the drive, or after numerical ties.
+    while angle.len() < count {
+        angle.push(state.angle);
+        speed.push(state.speed);
+    }
+}
+
+/// Warmth at the end of a drive of `seconds` at `duty` that began at `warmth`.
+pub fn warm_up(warmth: f64, duty: f64, seconds: f64, tau: f64) -> f64 {
+    duty + (warmth - duty) * (-seconds / tau.max(1e-3)).exp()
+}
+
+/// What the actuator path makes of a commanded duty.
+pub fn effective_duty(duty: f64, p: &Parameters) -> f64 {
+    if duty <= 0.0 {
+        return 0.0;
+    }
+    let mut u = duty;
+    let share = p.get(P::QuantShare);
+    if share != 0.0 {
+        let n = p.get(P::QuantSteps).max(1.0);
+        u += share * ((n * u).round() / n - u);
+    }
+    u -= p.get(P::DeadDuty);
+    u = u.max(0.0);
+    u /= 1.0 + (u * p.get(P::Saturation)).max(-0.9);
+    u.clamp(0.0, 1.0)
+}
+
+enum Motion {
+    /// Constant acceleration.
+    Linear(f64),
+    /// Exponential approach to a speed at a rate.
+    Approach { to: f64, rate: f64 },
+}
+
+struct Piece {
+    duration: f64,
+    motion: Motion,
+}
+
+impl Piece {
+    /// Angle gained and speed after `dt`, from `speed`.
+    fn at(&self, speed: f64, dt: f64) -> (f64, f64) {
+        let dt = dt.min(self.duration);
+        match self.motion {
+            Motion::Linear(a) => {
+                let w = if dt >= self.duration && a != 0.0 && (speed + a * dt).abs() < 1e-7 { 0.0 } else { speed + a * dt };
+                (speed * dt + 0.5 * a * dt * dt, w)
+            }
+            Motion::Approach { to, rate } => {
+                let decay = (-rate * dt).exp();
+                (to * dt + (speed - to) * (1.0 - decay) / rate, to + (speed - to) * decay)
+            }
+        }
+    }
+}
+
+fn on_piece(speed: f64, target: f64, acceleration: f64, band: f64, external: f64) -> Piece {
+    let lag = target - speed;
+    let forever = f64::INFINITY;
+    if lag.abs() > band * (1.0 + 1e-9) {
+        let sense = lag.signum();
+        let a = sense * acceleration + external;
+        let closing = a * sense;
+        let duration = if closing > 0.0 { (lag.abs() - band) / closing } else { forever };
+        Piece { duration: duration.max(1e-9), motion: Motion::Linear(a) }
+    } else {
+        let rate = acceleration / band;
+        let to = target + external.clamp(-acceleration, acceleration) / rate;
+        Piece { duration: forever, motion: Motion::Approach { to, rate } }
+    }
+}
+
+fn off_piece(speed: f64, brake: f64, external: f64) -> Piece {
+    if speed.abs() < 1e-9 {
+        if external.abs() <= brake {
+            return Piece { duration: f64::INFINITY, motion: Motion::Linear(0.0) };
+        }
+        return Piece { duration: f64::INFINITY, motion: Motion::Linear(external - external.signum() * brake) };
+    }
+    let a = external - speed.signum() * brake;
+    let duration = if a * speed < 0.0 { -speed / a } else { f64::INFINITY };
+    Piece { duration, motion: Motion::Linear(a) }
+}
