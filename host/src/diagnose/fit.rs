@@ -1,0 +1,156 @@
+//! Nonlinear refits: Gauss–Newton on the common parameters, with the phases of single runs fitted on the way.
+
+use super::problem::{Column, Model, Problem, RunDesign};
+use super::rotor::P;
+use super::stats::{Fold, Grams, PhasedFit};
+
+/// A common parameter that is fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Free {
+    /// Which.
+    pub parameter: P,
+    /// How large a change is plausible.
+    pub scale: f64,
+    /// Admissible range.
+    pub bounds: (f64, f64),
+}
+
+/// Which phased coefficients are fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Phased {
+    /// Drive modulation, pair 0 (once a turn) or 1 (twice a turn).
+    Runout(usize),
+    /// Encoder angle error.
+    Eccentricity,
+    /// Load torque.
+    Gravity,
+}
+
+impl Phased {
+    fn columns(self) -> [Column; 2] {
+        match self {
+            Phased::Runout(h) => [Column::Runout(2 * h), Column::Runout(2 * h + 1)],
+            Phased::Eccentricity => [Column::Eccentricity(0), Column::Eccentricity(1)],
+            Phased::Gravity => [Column::Gravity(0), Column::Gravity(1)],
+        }
+    }
+
+    /// Writes the coefficients of every run.
+    pub fn store(self, model: &mut Model, coefficients: &[[f64; 2]]) {
+        for (terms, c) in model.terms.iter_mut().zip(coefficients) {
+            match self {
+                Phased::Runout(h) => terms.runout[2 * h..2 * h + 2].copy_from_slice(c),
+                Phased::Eccentricity => terms.eccentricity = *c,
+                Phased::Gravity => terms.gravity = *c,
+            }
+        }
+    }
+}
+
+/// The free parameters as columns of a design.
+pub fn columns_of(free: &[Free]) -> Vec<Column> {
+    free.iter()
+        .map(|f| Column::Scalar { parameter: f.parameter, scale: f.scale, step: f.scale * 0.02, shape: Vec::new() })
+        .collect()
+}
+
+/// Plausible sizes of the phased coefficients.
+pub const PHASED_SCALE: f64 = 0.3;
+
+/// Divides designs (one a run) further, for problems of one run.
+pub type Split<'a> = &'a (dyn Fn(Vec<RunDesign>) -> Vec<RunDesign> + Sync);
+
+/// Fits `free` (the first must be the free speed) and `phased`, starting from `model`.
+pub fn refit(problem: &Problem, mut model: Model, free: &[Free], phased: &[Phased], iterations: usize) -> (Model, Vec<PhasedFit>) {
+    let mut fits = Vec::new();
+    let rounds = if phased.is_empty() { 1 } else { 2 };
+    for _ in 0..rounds {
+        if !phased.is_empty() {
+            let zero = vec![[0.0; 2]; problem.runs.len()];
+            for p in phased {
+                p.store(&mut model, &zero);
+            }
+            let mut columns = columns_of(free);
+            let mut scales: Vec<f64> = vec![1.0; free.len()];
+            let mut pairs = Vec::new();
+            for p in phased {
+                let at = columns.len();
+                pairs.push([at, at + 1]);
+                columns.extend(p.columns());
+                scales.extend([PHASED_SCALE; 2]);
+            }
+            let designs = problem.design(&model, &columns);
+            let grams = Grams::new(&designs, 0, &scales, Some(&[]), vec![everything(problem.runs.len())]);
+            let base: Vec<usize> = (0..free.len()).collect();
+            fits = grams.fit_phased(&base, &pairs);
+            for (p, fit) in phased.iter().zip(&fits) {
+                p.store(&mut model, &fit.coefficients);
+            }
+        }
+        model = gauss_newton(problem, model, free, iterations);
+    }
+    (model, fits)
+}
+
+fn everything(n: usize) -> Fold {
+    Fold { train: (0..n).collect(), test: (0..n).collect() }
+}
+
+fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: usize) -> Model {
+    let scales = vec![1.0; free.len()];
+    let set: Vec<usize> = (0..free.len()).collect();
+    let mut best = f64::INFINITY;
+    for _ in 0..iterations {
+        let designs = problem.design(&model, &columns_of(free));
+        let grams = Grams::new(&designs, 0, &scales, Some(&[]), vec![everything(problem.runs.len())]);
+        let (variance, spread) = (grams.variance, grams.gain_spread);
+        if best.is_infinite() {
+            best = objective(problem, &model, variance, spread);
+        }
+        let before = objective(problem, &model, variance, spread);
+        let all: Vec<usize> = (0..problem.runs.len()).collect();
+        let step = grams.fit(&all, &set);
+        let mut accepted = None;
+        let mut factor = 1.0;
+        for _ in 0..5 {
+            let mut trial = model.clone();
+            for (f, s) in free.iter().zip(step.iter()) {
+                let value = trial.parameters.get(f.parameter) + factor * s.clamp(-3.0, 3.0) * f.scale;
+                trial.parameters.set(f.parameter, value.clamp(f.bounds.0, f.bounds.1));
+            }
+            let after = objective(problem, &trial, variance, spread);
+            if after < before {
+                accepted = Some((trial, after));
+                break;
+            }
+            factor *= 0.4;
+        }
+        let Some((trial, after)) = accepted else { break };
+        model = trial;
+        if before - after < 1e-4 * before {
+            break;
+        }
+        best = after;
+    }
+    model
+}
+
+/// Squared error with a random run gain taken out.
+fn objective(problem: &Problem, model: &Model, variance: f64, spread: f64) -> f64 {
+    let t = spread * spread;
+    problem
+        .residuals(model)
+        .iter()
+        .zip(&problem.runs)
+        .map(|(r, run)| {
+            let (mut yy, mut gg, mut gy) = (0.0, 0.0, 0.0);
+            for (k, w) in run.windows.iter().enumerate() {
+                let dt = run.duration(w);
+                yy += r.rpm[k] * r.rpm[k] * dt;
+                gg += r.predicted[k] * r.predicted[k] * dt;
+                gy += r.predicted[k] * r.rpm[k] * dt;
+            }
+            yy - t / (variance + t * gg) * gy * gy
+        })
+        .sum()
+}

@@ -1,0 +1,351 @@
+//! The comparison itself: residuals of every window for given parameters, and their derivatives.
+
+use super::observe::{Observed, Window};
+use super::rotor::{P, Parameters, RunInput, RunTerms, simulate, warm_up};
+use crate::record::measurement::RunKind;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// rad/s to revolutions a minute.
+pub const RPM: f64 = 60.0 / TAU;
+
+/// The measured runs as one fitting problem.
+#[derive(Debug, Clone)]
+pub struct Problem {
+    /// The runs.
+    pub runs: Vec<Observed>,
+    /// Revolutions made before each run (in the order of making; 0 without one).
+    revolutions_before: Vec<f64>,
+    /// Run indices in the order of making, if every run states it.
+    sequence: Option<Vec<usize>>,
+}
+
+/// A model: common parameters and what belongs to single runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// Parameters of the rotor and the effects.
+    pub parameters: Parameters,
+    /// One entry a run.
+    pub terms: Vec<RunTerms>,
+}
+
+/// A direction in parameter space along which residuals are differentiated.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Column {
+    /// A common parameter; other parameters are first set as listed (shape of the effect).
+    Scalar {
+        /// What is varied.
+        parameter: P,
+        /// Size of one unit of the column.
+        scale: f64,
+        /// Finite step, in units of the parameter.
+        step: f64,
+        /// Shape parameters set before.
+        shape: Vec<(P, f64)>,
+    },
+    /// A coefficient of [`RunTerms::runout`].
+    Runout(usize),
+    /// A coefficient of [`RunTerms::eccentricity`].
+    Eccentricity(usize),
+    /// A coefficient of [`RunTerms::gravity`].
+    Gravity(usize),
+    /// Relative speed error times a basis function of the window, for terms that stand for no physics.
+    Flexible(Basis),
+}
+
+/// Basis functions of the flexible terms.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Basis {
+    /// Hat `k` of `n` over the time since the start of the drive (0 to the longest run).
+    Time(usize, usize),
+    /// Hat `k` of `n` over duty.
+    Duty(usize, usize),
+    /// Sign of the direction.
+    Direction,
+    /// Direction times hat `k` of `n` over duty.
+    DutyDirection(usize, usize),
+    /// Hat `k` of `n` over the order of the runs.
+    Order(usize, usize),
+    /// Hat `k` of `n` over the phase in the PWM period (cyclic).
+    Phase(usize, usize),
+    /// `cos` (even) or `sin` (odd) of harmonic `k/2 + 1` of the measured angle.
+    Angle(usize),
+    /// `cos`/`sin` of `hz` over time: a rhythm that is neither the drive's nor the rotor's.
+    Rhythm(usize, f64),
+}
+
+/// Residuals of one run.
+#[derive(Debug, Clone, Default)]
+pub struct RunResidual {
+    /// Measured minus predicted mean speed of each window in rpm.
+    pub rpm: Vec<f64>,
+    /// Predicted mean speed of each window in rpm.
+    pub predicted: Vec<f64>,
+    /// Rotor speed at each time in rad/s.
+    pub speed: Vec<f64>,
+}
+
+impl Problem {
+    /// Puts runs together.
+    pub fn new(runs: Vec<Observed>) -> Self {
+        let ordered = runs.iter().all(|r| r.order.is_some());
+        let sequence = ordered.then(|| {
+            let mut s: Vec<usize> = (0..runs.len()).collect();
+            s.sort_by_key(|i| runs[*i].order);
+            s
+        });
+        let mut revolutions_before = vec![0.0; runs.len()];
+        if let Some(sequence) = &sequence {
+            let mut total = 0.0;
+            for &i in sequence {
+                revolutions_before[i] = total;
+                // A record cut short still belongs to a full drive.
+                let run = &runs[i];
+                let seen = run.record_end.min(run.drive_end).max(1e-3);
+                total += run.revolutions() * (run.drive_end / seen).clamp(1.0, 5.0);
+            }
+        }
+        Self { runs, revolutions_before, sequence }
+    }
+
+    /// Whether the order of the runs is known.
+    pub fn ordered(&self) -> bool {
+        self.sequence.is_some()
+    }
+
+    /// A model without run terms.
+    pub fn model(&self, parameters: Parameters) -> Model {
+        Model { parameters, terms: vec![RunTerms::default(); self.runs.len()] }
+    }
+
+    /// Warmth each run starts with.
+    fn warmth(&self, p: &Parameters) -> Vec<f64> {
+        let mut start = vec![0.0; self.runs.len()];
+        let carry = p.get(P::HeatCarry);
+        if let Some(sequence) = &self.sequence
+            && carry > 0.0
+            && p.get(P::HeatLoss) != 0.0
+        {
+            let mut warmth = 0.0;
+            for &i in sequence {
+                start[i] = warmth;
+                let run = &self.runs[i];
+                let duty = run.duty.unwrap_or_else(|| run.schedule.drive_time() / run.drive_end.max(1e-9));
+                warmth = carry * warm_up(warmth, duty, run.drive_end, p.get(P::HeatTau));
+            }
+        }
+        start
+    }
+
+    /// Residuals of all runs.
+    pub fn residuals(&self, model: &Model) -> Vec<RunResidual> {
+        let warmth = self.warmth(&model.parameters);
+        (0..self.runs.len())
+            .into_par_iter()
+            .map(|i| self.run_residual(i, &model.parameters, &model.terms[i], warmth[i]))
+            .collect()
+    }
+
+    fn run_residual(&self, i: usize, p: &Parameters, terms: &RunTerms, warmth: f64) -> RunResidual {
+        let run = &self.runs[i];
+        let input = RunInput {
+            schedule: &run.schedule,
+            drive_end: run.drive_end,
+            times: &run.times,
+            angles: &run.angles,
+            warmth,
+            revolutions: self.revolutions_before[i],
+        };
+        let mut angle = Vec::with_capacity(run.times.len());
+        let mut out = RunResidual::default();
+        simulate(&input, p, terms, &mut angle, &mut out.speed);
+        let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
+        let sensor = terms.eccentricity != [0.0; 2];
+        let clock = 1.0 + p.get(P::ClockError);
+        let _ = clock;
+        out.rpm.reserve(run.windows.len());
+        out.predicted.reserve(run.windows.len());
+        let track = run.kind == RunKind::Track;
+        let backlash = p.get(P::Backlash);
+        let miscount = p.get(P::Miscount);
+        for w in &run.windows {
+            let mut advance = angle[w.to] - angle[w.from];
+            if w.low == w.high {
+                if offset != 0.0 {
+                    advance -= offset * f64::from(run.level[w.from] - run.level[w.to]);
+                }
+                if sensor {
+                    let (sb, cb) = run.angles[w.to].sin_cos();
+                    let (sa, ca) = run.angles[w.from].sin_cos();
+                    advance += terms.eccentricity[0] * (cb - ca) + terms.eccentricity[1] * (sb - sa);
+                }
+                if track && (backlash != 0.0 || miscount != 0.0) {
+                    for (t, sign) in reversals(run, w) {
+                        let _ = t;
+                        advance += sign * miscount * run.pitch - sign * backlash;
+                    }
+                }
+            }
+            let measured = advance.clamp(w.low, w.high);
+            let dt = run.duration(w).max(1e-6);
+            out.rpm.push((measured - advance) / dt * RPM);
+            out.predicted.push(advance / dt * RPM);
+        }
+        out
+    }
+
+    /// Predicted-speed derivatives of one run for each column, weighted like the residuals: rows are windows.
+    pub fn design(&self, model: &Model, columns: &[Column]) -> Vec<RunDesign> {
+        let warmth = self.warmth(&model.parameters);
+        let shaped: Vec<Option<ShapedColumn>> = columns
+            .iter()
+            .map(|c| match c {
+                Column::Scalar { parameter, scale, step, shape } => {
+                    let mut base = model.parameters.clone();
+                    for (q, v) in shape {
+                        base.set(*q, *v);
+                    }
+                    let moved = base.with(*parameter, base.get(*parameter) + step);
+                    let same_base = shape.is_empty() || base.get(*parameter) == 0.0;
+                    Some(ShapedColumn {
+                        warm_base: self.warmth(&base),
+                        warm_moved: self.warmth(&moved),
+                        base: (!same_base).then_some(base),
+                        moved,
+                        factor: scale / step,
+                    })
+                }
+                _ => None,
+            })
+            .collect();
+        let longest = self.runs.iter().map(|r| r.drive_end).fold(0.0, f64::max).max(1e-6);
+        let last_order = self.runs.len().max(2) as f64 - 1.0;
+        let rank: Vec<f64> = match &self.sequence {
+            Some(s) => {
+                let mut rank = vec![0.0; self.runs.len()];
+                for (k, i) in s.iter().enumerate() {
+                    rank[*i] = k as f64 / last_order;
+                }
+                rank
+            }
+            None => vec![0.0; self.runs.len()],
+        };
+        (0..self.runs.len())
+            .into_par_iter()
+            .map(|i| {
+                let run = &self.runs[i];
+                let p = &model.parameters;
+                let now = self.run_residual(i, p, &model.terms[i], warmth[i]);
+                let n = run.windows.len();
+                let weight: Vec<f64> = run.windows.iter().map(|w| run.duration(w).max(0.0).sqrt()).collect();
+                let mut x = vec![0.0; n * columns.len()];
+                for (c, column) in columns.iter().enumerate() {
+                    let mut put = |values: &dyn Fn(usize) -> f64| {
+                        for k in 0..n {
+                            x[k * columns.len() + c] = weight[k] * values(k);
+                        }
+                    };
+                    match column {
+                        Column::Scalar { .. } => {
+                            let s = shaped[c].as_ref().expect("scalar columns are shaped above");
+                            let moved = self.run_residual(i, &s.moved, &model.terms[i], s.warm_moved[i]);
+                            match &s.base {
+                                None => put(&|k| (now.rpm[k] - moved.rpm[k]) * s.factor),
+                                Some(base) => {
+                                    let base = self.run_residual(i, base, &model.terms[i], s.warm_base[i]);
+                                    put(&|k| (base.rpm[k] - moved.rpm[k]) * s.factor);
+                                }
+                            }
+                        }
+                        Column::Runout(h) | Column::Eccentricity(h) | Column::Gravity(h) => {
+                            let mut terms = model.terms[i];
+                            let step = match column {
+                                Column::Runout(_) => {
+                                    terms.runout[*h] += 0.01;
+                                    0.01
+                                }
+                                Column::Eccentricity(_) => {
+                                    terms.eccentricity[*h] += 1e-3;
+                                    1e-3
+                                }
+                                _ => {
+                                    terms.gravity[*h] += 10.0;
+                                    10.0
+                                }
+                            };
+                            let moved = self.run_residual(i, p, &terms, warmth[i]);
+                            put(&|k| (now.rpm[k] - moved.rpm[k]) / step);
+                        }
+                        Column::Flexible(basis) => {
+                            let value = |k: usize| {
+                                let w = &run.windows[k];
+                                let t = 0.5 * (run.times[w.from] + run.times[w.to]);
+                                let theta = 0.5 * (run.angles[w.from] + run.angles[w.to]);
+                                let period = 1.0 / run.pwm_hz;
+                                let b = match *basis {
+                                    Basis::Time(j, n) => hat(j, n, t / longest),
+                                    Basis::Duty(j, n) => hat(j, n, run.duty.unwrap_or(0.5)),
+                                    Basis::Direction => run.direction,
+                                    Basis::DutyDirection(j, n) => run.direction * hat(j, n, run.duty.unwrap_or(0.5)),
+                                    Basis::Order(j, n) => hat(j, n, rank[i]),
+                                    Basis::Phase(j, n) => {
+                                        let x = (t / period).rem_euclid(1.0) * n as f64 - j as f64;
+                                        let d = x.rem_euclid(n as f64);
+                                        (1.0 - d.min(n as f64 - d)).max(0.0)
+                                    }
+                                    Basis::Angle(j) => {
+                                        let h = (j / 2 + 1) as f64 * theta;
+                                        if j % 2 == 0 { h.cos() } else { h.sin() }
+                                    }
+                                    Basis::Rhythm(j, hz) => {
+                                        let a = TAU * hz * t;
+                                        if j == 0 { a.cos() } else { a.sin() }
+                                    }
+                                };
+                                b * now.predicted[k]
+                            };
+                            put(&value);
+                        }
+                    }
+                }
+                let y = now.rpm.iter().zip(&weight).map(|(r, w)| r * w).collect();
+                RunDesign { columns: columns.len(), x, y, weight, seconds: run.compared_s() }
+            })
+            .collect()
+    }
+}
+
+/// Direction changes inside a window, with the sign of the new direction.
+fn reversals<'a>(run: &'a Observed, w: &Window) -> impl Iterator<Item = (f64, f64)> + 'a {
+    let (from, to) = (run.times[w.from], run.times[w.to]);
+    run.schedule.directions.iter().skip(1).copied().filter(move |(t, _)| *t > from && *t <= to)
+}
+
+struct ShapedColumn {
+    base: Option<Parameters>,
+    moved: Parameters,
+    warm_base: Vec<f64>,
+    warm_moved: Vec<f64>,
+    factor: f64,
+}
+
+/// Piecewise linear basis function `j` of `n` over 0..1.
+fn hat(j: usize, n: usize, x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0) * (n - 1) as f64;
+    (1.0 - (x - j as f64).abs()).max(0.0)
+}
+
+/// Weighted residuals and derivatives of one run.
+#[derive(Debug, Clone)]
+pub struct RunDesign {
+    /// Number of columns.
+    pub columns: usize,
+    /// Row-major windows × columns, in rpm·√s.
+    pub x: Vec<f64>,
+    /// Residual (measured − predicted) in rpm·√s.
+    pub y: Vec<f64>,
+    /// Square root of each window's duration in √s.
+    pub weight: Vec<f64>,
+    /// Time compared in s; the mean squared residual is `Σy²/seconds`.
+    pub seconds: f64,
+}
