@@ -1,13 +1,70 @@
 //! `twum diagnose`.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::diagnose::{Options, answer, diagnose, effects};
+use twum_host::record::measurement::Measurement;
 
 /// Arguments of `twum diagnose`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Examples:
+  twum diagnose bench3                       a page: what is wrong, the cause, how sure, what decides
+  twum diagnose bench3 --json                the same for another program
+  twum diagnose monday tuesday --report why.html
+  twum diagnose bench3 --quick               a first look in seconds
+
+The exit code is 0 if the question could be answered (whatever the answer), 2 if the folder could not be read.")]
+pub struct Args {
+    /// Measurement folders, diagnosed together
+    #[arg(required = true)]
+    folders: Vec<PathBuf>,
+    /// Simulation to start from
+    #[arg(long, value_enum, default_value = "physical")]
+    flavour: FlavourArg,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Seed of every random choice: the same seed gives the same answer
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// A first look: fewer runs, shorter, a smaller null (the answer says what was left out)
+    #[arg(long)]
+    quick: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum FlavourArg {
+    /// Equations with the listing's errors put right
+    Physical,
+    /// As listed: the rotor coasts while the drive is off
+    Thesis,
+}
 
 /// Runs `twum diagnose`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum diagnose` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    let mut measurements = Vec::new();
+    for folder in &args.folders {
+        measurements.push(Measurement::load(folder).with_context(|| format!("reading {}", folder.display()))?);
+    }
+    let bar = ProgressBar::new(100).with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
+    let options =
+        Options { seed: args.seed, quick: args.quick, coasting: args.flavour == FlavourArg::Thesis, ..Options::default() };
+    let (diagnosis, _details) = diagnose(&measurements, &options, &|what, share| {
+        bar.set_message(what.to_owned());
+        bar.set_position((share * 100.0) as u64);
+    })?;
+    bar.finish_and_clear();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&diagnosis)?);
+    } else {
+        let library = effects::library(3.65, 1888.0);
+        print!(
+            "{}",
+            answer::text(&diagnosis, &|name| library.iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
+        );
+    }
+    Ok(ExitCode::SUCCESS)
 }

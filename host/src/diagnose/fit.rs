@@ -99,14 +99,10 @@ fn everything(n: usize) -> Fold {
 fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: usize) -> Model {
     let scales = vec![1.0; free.len()];
     let set: Vec<usize> = (0..free.len()).collect();
-    let mut best = f64::INFINITY;
     for _ in 0..iterations {
         let designs = problem.design(&model, &columns_of(free));
         let grams = Grams::new(&designs, 0, &scales, Some(&[]), vec![everything(problem.runs.len())]);
         let (variance, spread) = (grams.variance, grams.gain_spread);
-        if best.is_infinite() {
-            best = objective(problem, &model, variance, spread);
-        }
         let before = objective(problem, &model, variance, spread);
         let all: Vec<usize> = (0..problem.runs.len()).collect();
         let step = grams.fit(&all, &set);
@@ -130,7 +126,6 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
         if before - after < 1e-4 * before {
             break;
         }
-        best = after;
     }
     model
 }

@@ -1,5 +1,10 @@
 //! Showing what the simulation gets wrong, naming the cause, and saying how sure that is.
+//!
+//! [`diagnose`] runs the whole procedure over measurement folders: refit the baseline, search a library of effects with
+//! whole runs held out, hold the best against a null that repeats the whole selection, compare it with its rivals, and
+//! look for what no effect explains. `docs/diagnosis.md` walks through it; `docs/detection.md` says how often it errs.
 
+pub mod answer;
 pub mod effects;
 pub mod fit;
 pub mod observe;
@@ -7,3 +12,178 @@ pub mod problem;
 pub mod rotor;
 pub mod search;
 pub mod stats;
+
+use crate::record::measurement::{Format, Measurement, Run, RunKind};
+use answer::Diagnosis;
+use observe::{Observed, observe};
+use problem::Problem;
+use rotor::Parameters;
+use search::{Outcome, Settings, search};
+
+/// Why nothing could be diagnosed.
+#[derive(Debug, thiserror::Error)]
+pub enum DiagnoseError {
+    /// No folder was given, or none holds a run.
+    #[error("there are no runs to diagnose: {0}")]
+    NoRuns(String),
+    /// Folders of different kinds were mixed.
+    #[error("{0}")]
+    Mixed(String),
+}
+
+/// What is asked for.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Answer fast: two repetitions of each run, 2.5 s of each, a null of 150 repetitions.
+    pub quick: bool,
+    /// Whether the baseline lets the rotor coast while the drive is off (flavour `thesis`).
+    pub coasting: bool,
+    /// Effects taken out of the library.
+    pub without: Vec<String>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { seed: 1, quick: false, coasting: false, without: Vec::new() }
+    }
+}
+
+/// What the answer was drawn from, for reports and saved models.
+#[derive(Debug, Clone)]
+pub struct Details {
+    /// The runs.
+    pub problem: Problem,
+    /// What the search found.
+    pub outcome: Outcome,
+}
+
+/// Diagnoses measurement folders together.
+///
+/// # Errors
+/// When there is no run at all, or when folders of different plants are mixed. Data that can be read but say too little
+/// give an answer that says so.
+pub fn diagnose(
+    measurements: &[Measurement],
+    options: &Options,
+    progress: &dyn Fn(&str, f64),
+) -> Result<(Diagnosis, Option<Details>), DiagnoseError> {
+    let total: usize = measurements.iter().map(|m| m.runs.len()).sum();
+    if total == 0 {
+        return Err(DiagnoseError::NoRuns("the folders hold no [[run]]".to_owned()));
+    }
+    let inertial = measurements.iter().filter(|m| m.runs.iter().any(|r| r.format == Format::Drive)).count();
+    if inertial > 0 {
+        if inertial < measurements.len() {
+            return Err(DiagnoseError::Mixed(
+                "runs of an ordinary motor (format `drive`) and of a TWUM cannot be diagnosed together: name one kind of folder".to_owned(),
+            ));
+        }
+        return Ok((Diagnosis::impossible(vec!["runs of format `drive` are not supported yet".to_owned()], options.seed), None));
+    }
+    let mut notes = Vec::new();
+    let mut runs = Vec::new();
+    for m in measurements {
+        for run in &m.runs {
+            notes.extend(contradictions(run));
+            match observe(run, m.edges_per_rev) {
+                Ok(o) => runs.push(o),
+                Err(refusal) => notes.push(format!("{refusal}; left out")),
+            }
+        }
+    }
+    if options.quick {
+        let before = runs.len();
+        thin(&mut runs);
+        notes.push(format!(
+            "quick: {} of {before} runs, the first 2.5 s of each, a null of 150 repetitions; small effects and slow ones may be missed",
+            runs.len()
+        ));
+    }
+    if runs.is_empty() {
+        notes.push("no run can be used".to_owned());
+        return Ok((Diagnosis::impossible(notes, options.seed), None));
+    }
+    if runs.iter().all(|r| r.revolutions() < 0.02) {
+        notes.push(
+            "no run shows motion: less than 0.02 turns in any of them. Whether the motor, the drive or the encoder is silent \
+             cannot be told from here; look at the encoder line with the motor turned by hand"
+                .to_owned(),
+        );
+        return Ok((Diagnosis::impossible(notes, options.seed), None));
+    }
+    let edges: usize = runs.iter().map(|r| r.windows.len()).sum();
+    if edges < 30 {
+        notes.push(format!("only {edges} edge intervals in all: too little to tell an effect from sampling noise; make runs of several seconds"));
+        return Ok((Diagnosis::impossible(notes, options.seed), None));
+    }
+    let start = starting_rotor(&runs, options.coasting);
+    let replicated = runs.len() >= 4;
+    if !replicated {
+        notes.push("fewer than four runs: no replication, nothing can be said about run-to-run spread".to_owned());
+    }
+    let duties = {
+        let mut d: Vec<f64> = runs.iter().filter_map(|r| r.duty).collect();
+        d.sort_by(f64::total_cmp);
+        d.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+        d.len()
+    };
+    if duties == 1 && runs.iter().all(|r| r.kind == RunKind::Speed) {
+        notes.push("one duty only: effects over duty (dead zone, saturation, sag, rounding) cannot be seen; add runs at two other duties".to_owned());
+    }
+    let problem = Problem::new(runs);
+    let settings = Settings {
+        seed: options.seed,
+        repetitions: if options.quick { 150 } else { 400 },
+        without: options.without.clone(),
+        coasting: options.coasting,
+        ..Settings::default()
+    };
+    let outcome = search(&problem, start, &settings, progress);
+    let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
+    Ok((diagnosis, Some(Details { problem, outcome })))
+}
+
+/// A rotor to start the refit from: the shipped motor's friction, the free speed the data show.
+pub fn starting_rotor(runs: &[Observed], coasting: bool) -> Parameters {
+    let mut speeds: Vec<f64> = runs
+        .iter()
+        .filter(|r| r.kind == RunKind::Speed)
+        .filter_map(|r| r.duty.filter(|d| *d > 0.05).map(|d| r.mean_speed_rpm().abs() / problem::RPM / d))
+        .filter(|w| *w > 0.0)
+        .collect();
+    speeds.sort_by(f64::total_cmp);
+    let free = if speeds.is_empty() { 3.6466 } else { speeds[(speeds.len() - 1) * 3 / 4] };
+    // u·Fext·R0/Jr and Ctheta/Jr of the 30 mm PCBMotor (thesis, A.4).
+    let (contact, viscous) = (1888.0, 0.261);
+    Parameters::new(free, contact, if coasting { 0.0 } else { contact }, viscous, 0.02)
+}
+
+/// Metadata that contradict the record.
+fn contradictions(run: &Run) -> Vec<String> {
+    let mut out = Vec::new();
+    if let Some(duty) = run.duty
+        && !(0.0..=1.0).contains(&duty)
+    {
+        out.push(format!("run {}: duty {duty} is not within 0..1", run.id));
+    }
+    out
+}
+
+/// Keeps two repetitions of each kind of run and the first 2.5 s of each.
+fn thin(runs: &mut Vec<Observed>) {
+    let mut seen: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
+    runs.retain(|r| {
+        let n = seen.entry(format!("{:?}/{:?}/{}/{}", r.kind, r.duty, r.direction, r.pwm_hz)).or_default();
+        *n += 1;
+        *n <= 2
+    });
+    for r in runs {
+        let keep = r.times.iter().take_while(|t| **t <= 2.5).count().max(2);
+        r.times.truncate(keep);
+        r.angles.truncate(keep);
+        r.level.truncate(keep);
+        r.windows.retain(|w| w.to < keep);
+    }
+}

@@ -11,6 +11,8 @@ use nalgebra::DVector;
 pub const LEAST_GAIN: f64 = 0.05;
 /// Largest p-value of a named cause.
 pub const LARGEST_P: f64 = 0.01;
+/// Share of an accepted gain that a term without physics may still find before the cause is no longer believed.
+pub const LACK_OF_FIT: f64 = 0.3;
 /// Most effects that are added.
 const MOST_EFFECTS: usize = 4;
 
