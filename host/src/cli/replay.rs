@@ -1,13 +1,58 @@
 //! `twum replay`.
 
-use anyhow::{Result, bail};
+use anyhow::Result;
+use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::compare::replay::{RecordingReplay, replay_recording};
 
 /// Arguments of `twum replay`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Every control tick is recomputed with the function the board runs, from the state its block starts with, and must match bit
+for bit. Missing ticks are counted, not guessed.
+
+Examples:
+  twum replay sine.mcap
+  twum replay sine.mcap --json
+
+Exit code 0: everything recorded matches. 1: a tick differs, or there was none to check. 2: not a recording.")]
+pub struct Args {
+    /// Recording
+    recording: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
 
 /// Runs `twum replay`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum replay` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    let found = replay_recording(&args.recording)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&found)?);
+    } else {
+        print(&found);
+    }
+    Ok(if found.replay.is_exact() { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+fn print(found: &RecordingReplay) {
+    let RecordingReplay { replay, link, file } = found;
+    println!("{} control ticks checked in {} runs, {} differ", replay.checked, replay.runs, replay.mismatched);
+    for mismatch in &replay.first {
+        println!(
+            "  tick {} at {} us: {:?} is {}, should be {}",
+            mismatch.tick, mismatch.time_us, mismatch.field, mismatch.recorded, mismatch.expected
+        );
+    }
+    println!("{} gaps, {} ticks missing", replay.gaps, replay.missing);
+    if replay.unconfigured > 0 {
+        println!("{} ticks without a configuration before them: not checked", replay.unconfigured);
+    }
+    if replay.checked == 0 {
+        println!("nothing to check: only `twum track` records control ticks");
+    }
+    println!(
+        "frames: {} intact, {} broken, {} sequence numbers missing; file: {:?}, {} damaged places",
+        link.device_frames, link.broken_frames, link.missing_sequences, file.ending, file.damaged_places
+    );
 }

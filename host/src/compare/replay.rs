@@ -1,6 +1,9 @@
 //! The bit-for-bit check of a recording: every control tick recomputed with [`twum_shared::step::step`].
 
+use crate::record::decode::{Decoder, Item, LinkStatistics};
+use crate::record::store::{Integrity, StoreError};
 use serde::Serialize;
+use std::path::Path;
 use twum_shared::message::{ControlBlock, ControlSample, DeviceMessage};
 use twum_shared::step::{self, Config, Inputs, State};
 
@@ -59,6 +62,33 @@ impl ReplayReport {
     pub fn is_exact(&self) -> bool {
         self.checked > 0 && self.mismatched == 0 && self.unconfigured == 0
     }
+}
+
+/// What the check of a recording found, and in what state the recording is.
+#[derive(Clone, Debug, Serialize)]
+pub struct RecordingReplay {
+    /// The control ticks.
+    #[serde(flatten)]
+    pub replay: ReplayReport,
+    /// What the line did.
+    pub link: LinkStatistics,
+    /// The state of the file.
+    pub file: Integrity,
+}
+
+/// Checks a recording from beginning to end. Memory is bounded by one frame.
+///
+/// # Errors
+/// As [`Decoder::open`] and [`Decoder::next_item`].
+pub fn replay_recording(path: impl AsRef<Path>) -> Result<RecordingReplay, StoreError> {
+    let mut decoder = Decoder::open(path)?;
+    let mut replay = Replay::new();
+    while let Some(item) = decoder.next_item()? {
+        if let Item::Device { message, .. } = item {
+            replay.observe(&message);
+        }
+    }
+    Ok(RecordingReplay { replay: replay.report, link: decoder.statistics(), file: decoder.integrity() })
 }
 
 /// At most so many mismatches are kept.

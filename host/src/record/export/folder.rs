@@ -5,7 +5,6 @@ use crate::record::measurement::{
 use crate::record::recording::{BitsSegment, Command, ControlSegment, EdgesSegment, RecordedRun, Recording, TimedEdge};
 use std::path::PathBuf;
 use twum_shared::message::Configuration;
-use twum_shared::step::{ConfigSpec, DriveLaw};
 
 /// How long after its end a run is followed: the rotor stops within this time.
 const COAST_US: u64 = 2_000_000;
@@ -54,6 +53,13 @@ pub fn to_measurement(
                 "run {}: in {} parts, because samples are missing between them",
                 index + 1,
                 parts.len()
+            ));
+        }
+        let said = run.configuration.is_none_or(|configuration| control_spec(&configuration).is_some());
+        if kind == RunKind::Track && !said {
+            notes.push(format!(
+                "run {}: its controller is more than a table of gains, so `control` is left out",
+                index + 1
             ));
         }
         let several = parts.len() > 1;
@@ -118,32 +124,22 @@ fn direction(direction: twum_shared::Direction) -> Direction {
     if direction.pin_high() { Direction::Cw } else { Direction::Ccw }
 }
 
-/// The controller as the folder can say it: a named one, or a gain set under the thesis's law. What goes beyond that
-/// (feed-forward, dead band, another law) cannot be written there.
+/// The controller as the folder can say it: a named one, or a gain set that stands for exactly the same one. What goes
+/// beyond that (feed-forward, dead band, another law) cannot be written there.
 fn control_spec(configuration: &Configuration) -> Option<ControlSpec> {
     let spec = configuration.control;
-    if spec == ConfigSpec::THESIS {
-        return Some(ControlSpec::Thesis);
-    }
-    if spec == ConfigSpec::DEFAULT {
-        return Some(ControlSpec::Default);
-    }
-    let plain = spec.law == DriveLaw::ActiveLowTruncated
-        && spec.feed_forward == 0
-        && spec.dead_band_counts == 0
-        && !spec.conditional_integration;
     let period_s = f64::from(spec.period_us) * 1e-6;
-    plain.then(|| {
-        ControlSpec::Table(ControlGains {
-            kp: spec.kp.to_num(),
-            ki: spec.ki_tick.to_num::<f64>() / period_s,
-            kd: spec.kd_tick.to_num::<f64>() * period_s,
-            period_us: spec.period_us.into(),
-            duty_steps: spec.duty_steps.into(),
-            integral_min: f64::from(spec.integral_min) * period_s,
-            integral_max: f64::from(spec.integral_max) * period_s,
-        })
-    })
+    let gains = ControlSpec::Table(ControlGains {
+        kp: spec.kp.to_num(),
+        ki: spec.ki_tick.to_num::<f64>() / period_s,
+        kd: spec.kd_tick.to_num::<f64>() * period_s,
+        period_us: spec.period_us.into(),
+        duty_steps: spec.duty_steps.into(),
+        integral_min: f64::from(spec.integral_min) * period_s,
+        integral_max: f64::from(spec.integral_max) * period_s,
+    });
+    let candidates = [ControlSpec::Thesis, ControlSpec::Default, gains];
+    candidates.into_iter().find(|candidate| candidate.config().is_ok_and(|config| config == spec))
 }
 
 /// The part of the board's time that belongs to a run.
