@@ -27,6 +27,8 @@ pub enum Command {
 /// Host commands the control interrupt decides on.
 #[derive(Clone, Debug)]
 pub enum Request {
+    /// Say who and how the device is.
+    Identify,
     /// Set the configuration.
     Configure(Configuration),
     /// Align.
@@ -50,8 +52,8 @@ pub enum Request {
 /// What the control interrupt tells the host, through the transmit task.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// A hello came; answer with who we are.
-    Hello,
+    /// A hello came; answer with who we are, and how.
+    Hello(Mode, Option<Fault>),
     /// Command taken.
     Ack(u32),
     /// Command refused.

@@ -190,6 +190,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
 
     fn obey(&mut self, command: Command, now_us: u64, position: i32) {
         match command {
+            Command::Host(_, Request::Identify) => self.shared.tell(Event::Hello(self.mode, self.fault)),
             Command::Host(of, request) => {
                 let answer = match self.decide(request, now_us, position) {
                     Ok(()) => Event::Ack(of),
@@ -282,7 +283,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
                 run.reference.validate().map_err(Refusal::Reference)?;
                 self.begin_run(run.duration_ms, Run::Track { run, state: State::REST, origin: position }, now_us)
             }
-            Request::Reboot => Err(Refusal::Mode(self.mode)),
+            Request::Reboot | Request::Identify => Err(Refusal::Mode(self.mode)),
         }
     }
 

@@ -33,14 +33,14 @@ fn refuse(shared: &Shared, error: FrameError) {
     shared.bad_frame();
     if let FrameError::Version(_) = error {
         // The host learns our version from the answer's header.
-        shared.tell(Event::Hello);
+        command(shared, 0, Request::Identify);
     }
 }
 
 fn take(shared: &Shared, sequence: u32, message: HostMessage) {
     shared.host_spoke();
     let request = match message {
-        HostMessage::Hello => return shared.tell(Event::Hello),
+        HostMessage::Hello => Request::Identify,
         HostMessage::Keepalive => return,
         HostMessage::Configure(configuration) => Request::Configure(configuration),
         HostMessage::Align => Request::Align,
@@ -52,6 +52,10 @@ fn take(shared: &Shared, sequence: u32, message: HostMessage) {
         HostMessage::Stop => Request::Stop,
         HostMessage::Reboot => Request::Reboot,
     };
+    command(shared, sequence, request);
+}
+
+fn command(shared: &Shared, sequence: u32, request: Request) {
     if shared.commands.try_send(Command::Host(sequence, request)).is_err() {
         shared.tell(Event::Nack(sequence, Refusal::Busy));
     }

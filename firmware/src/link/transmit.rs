@@ -3,11 +3,10 @@ use crate::shared::{Event, Shared};
 use embassy_time::{Duration, Instant, Timer};
 use embedded_io_async::Write;
 use heapless::{String, Vec};
-use twum_shared::Fault;
 use twum_shared::encoder::Edge;
 use twum_shared::frame::{self, Header, MAX_ENCODED};
 use twum_shared::message::{
-    BLOCK_EDGES, BLOCK_SAMPLES, BitsBlock, ControlBlock, DeviceMessage, EdgesBlock, Identity, Mode, ResetCause, Status,
+    BLOCK_EDGES, BLOCK_SAMPLES, BitsBlock, ControlBlock, DeviceMessage, EdgesBlock, Identity, ResetCause,
 };
 
 /// The queues are looked at this often.
@@ -34,11 +33,10 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
     // Ends whatever a boot loader wrote, so that our first frame stands alone.
     let _ = transmitter.port.write_all(&[0]).await;
     let mut collector = Collector { queues, pending: None, edges_sent: 0, patience: [PATIENCE_TURNS; 3] };
-    let mut latest: Option<Status> = None;
     let mut lost_seen = 0;
     loop {
         while let Ok(event) = shared.events.try_receive() {
-            let message = describe(event, &about, latest);
+            let message = describe(event, &about);
             transmitter.send(message).await;
         }
         let lost = shared.lost_items();
@@ -52,7 +50,6 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
             transmitter.send(message).await;
         }
         if let Some(status) = shared.status.try_take() {
-            latest = Some(status);
             transmitter.send(DeviceMessage::Status(status)).await;
         }
         shared.transmit_turned();
@@ -60,14 +57,14 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
     }
 }
 
-fn describe(event: Event, about: &About, latest: Option<Status>) -> DeviceMessage {
+fn describe(event: Event, about: &About) -> DeviceMessage {
     match event {
-        Event::Hello => DeviceMessage::Hello(Identity {
+        Event::Hello(mode, fault) => DeviceMessage::Hello(Identity {
             firmware: about.firmware.clone(),
             chip: about.chip.clone(),
             reset: about.reset,
-            mode: latest.map_or(Mode::Idle, |status| status.mode),
-            fault: latest.map_or(boot_fault(about.reset), |status| status.fault),
+            mode,
+            fault,
         }),
         Event::Ack(of) => DeviceMessage::Ack { of },
         Event::Nack(of, reason) => DeviceMessage::Nack { of, reason },
@@ -79,14 +76,6 @@ fn describe(event: Event, about: &About, latest: Option<Status>) -> DeviceMessag
         Event::DriverReply(bytes) => DeviceMessage::DriverReply(bytes),
         Event::DriverDone => DeviceMessage::DriverDone,
         Event::Log(line) => DeviceMessage::Log(line),
-    }
-}
-
-fn boot_fault(reset: ResetCause) -> Option<Fault> {
-    match reset {
-        ResetCause::Watchdog => Some(Fault::BootFromWatchdog),
-        ResetCause::Panic => Some(Fault::BootFromPanic),
-        _ => None,
     }
 }
 

@@ -16,8 +16,11 @@ const BACKLOG_BYTES: usize = 1 << 18;
 pub fn serve(setup: Setup, stop: &AtomicBool, announce: impl FnOnce(&str)) -> io::Result<()> {
     let (mut master, mut slave) = TTYPort::pair().map_err(io::Error::other)?;
     let name = slave.name().ok_or_else(|| io::Error::other("the pseudo-terminal has no name"))?;
-    // Kept open, so that a host may close its end and another open it; not exclusive, or no host could open it at all.
     slave.set_exclusive(false).map_err(io::Error::other)?;
+    // The other end stays open, so that one host may close it and another open it, but as a plain file: a serial port takes
+    // a lock that would keep every host out.
+    let _kept_open = std::fs::File::options().read(true).write(true).open(&name)?;
+    drop(slave);
     master.set_timeout(Duration::from_millis(1)).map_err(io::Error::other)?;
     announce(&name);
 

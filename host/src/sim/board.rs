@@ -342,7 +342,9 @@ impl Board {
 
     /// Runs until the device clock shows `until_us`.
     pub fn run_until(&mut self, until_us: u64) {
-        self.firmware.poll();
+        if !self.tasks_hung {
+            self.firmware.poll();
+        }
         while clock::now_us() < until_us {
             let next_us = self.next_event_us().clamp(clock::now_us() + 1, until_us);
             self.move_plant(next_us);
