@@ -88,6 +88,9 @@ pub enum Disturbance {
     DriverPowerCycled,
 }
 
+/// A board that is asked to restart first sends what it has to say, for so long.
+const REBOOT_US: u64 = 20_000;
+
 /// Tasks ask to be polled through this.
 #[derive(Debug, Default)]
 struct Flag(AtomicBool);
@@ -243,6 +246,7 @@ pub struct Board {
     encoder_dead: bool,
     control_hung: bool,
     tasks_hung: bool,
+    reboot_us: Option<u64>,
 }
 
 impl Board {
@@ -278,6 +282,7 @@ impl Board {
             encoder_dead: false,
             control_hung: false,
             tasks_hung: false,
+            reboot_us: None,
         }
     }
 
@@ -358,6 +363,9 @@ impl Board {
                 self.firmware.poll();
             }
             if self.firmware.shared.reboot.try_take().is_some() {
+                self.reboot_us = Some(next_us + REBOOT_US);
+            }
+            if self.reboot_us.is_some_and(|at| at <= next_us) {
                 self.restart(ResetCause::Software);
             }
             if next_us.saturating_sub(self.fed_us.get()) > WATCHDOG_US {
@@ -457,6 +465,7 @@ impl Board {
         self.from_board.clear();
         self.control_hung = false;
         self.tasks_hung = false;
+        self.reboot_us = None;
         clock::forget_timers();
         self.fed_us.set(clock::now_us());
         let wires = [&self.to_board, &self.from_board, &self.driver_rx, &self.driver_tx].map(Clone::clone);

@@ -6,7 +6,7 @@ use std::process::{Child, Command, Output, Stdio};
 
 /// The `twum` of this build.
 fn twum() -> Command {
-    Command::new(assert_cmd::cargo::cargo_bin!("twum"))
+    Command::new(env!("CARGO_BIN_EXE_twum"))
 }
 
 struct Simulator {
