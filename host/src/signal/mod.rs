@@ -7,6 +7,7 @@
 
 pub mod edges;
 pub mod filters;
+pub mod score;
 pub mod smoother;
 pub mod spline;
 pub mod thesis;
