@@ -1,13 +1,290 @@
 //! `twum velocity`.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
+use serde::Serialize;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use twum_host::record::measurement::{MANIFEST, Measurement, Run};
+use twum_host::report::speed::{Simulated, figure, findings, overview};
+use twum_host::signal::run::{EncoderErrors, Method, Motion, Options, Step, motion, thesis_steps};
+use twum_host::signal::score::score;
+use twum_host::signal::trial;
+use twum_host::signal::turn::TurnFit;
+use twum_host::signal::window::Order;
 
 /// Arguments of `twum velocity`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Examples:
+  twum velocity bench3                              mean speed, drift and ripple of every run
+  twum velocity bench3 --run d50-cw-0 --plot d50.svg --simulated-rpm 34.8
+                                                    speed against time, angle and orders of a turn
+  twum velocity bench3 --csv -                      position and speed at every sample, on stdout
+  twum velocity bench3 --method thesis-butterworth  as the thesis estimated it (section A.7)
+  twum velocity bench3 --csv steps.csv --method thesis-steps
+                                                    every step of the thesis's method
+  twum velocity --trials                            how far each method is off, on known motions
+
+The methods are compared in docs/signals.md.")]
+pub struct Args {
+    /// Measurement folder (or its measurement.toml)
+    #[arg(required_unless_present = "trials")]
+    folder: Option<PathBuf>,
+    /// Only the run with this id
+    #[arg(long, value_name = "ID")]
+    run: Option<String>,
+    /// How speed is estimated
+    #[arg(long, value_enum, default_value_t = MethodArg::Smoother)]
+    method: MethodArg,
+    /// Samples in the window of `--method window`
+    #[arg(long, default_value_t = 61, value_name = "SAMPLES")]
+    window: usize,
+    /// Distance of the estimates in µs; by default that of the samples, or 1000
+    #[arg(long, value_name = "US")]
+    period_us: Option<f64>,
+    /// Edges recorded with times are true within plus or minus this, in µs
+    #[arg(long, default_value_t = 2.0, value_name = "US")]
+    edge_uncertainty_us: f64,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    /// Write position and speed at every sample to this file (- for stdout, instead of the summary)
+    #[arg(long, value_name = "FILE", conflicts_with = "json")]
+    csv: Option<PathBuf>,
+    /// Draw the run to this file, .svg or .png
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    /// Draw a simulation's constant speed beside the run
+    #[arg(long, value_name = "RPM", requires = "plot", allow_negative_numbers = true)]
+    simulated_rpm: Option<f64>,
+    /// Score every method on known motions and print the table
+    #[arg(long, exclusive = true)]
+    trials: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, clap::ValueEnum)]
+enum MethodArg {
+    /// Adapts to how fast the speed changes, with an uncertainty
+    Smoother,
+    /// The thesis's cubic over 21 samples
+    ThesisRaw,
+    /// ... after its Butterworth filter (6 Hz)
+    ThesisButterworth,
+    /// ... after its moving average over 101 samples
+    ThesisAverage,
+    /// ... after its median over 13 samples
+    ThesisMedian,
+    /// All of them, with --csv
+    ThesisSteps,
+    /// A cubic over one fixed window
+    Window,
+}
+
+impl MethodArg {
+    fn method(self, window: usize) -> Method {
+        match self {
+            Self::Smoother => Method::Smoother,
+            Self::ThesisRaw | Self::ThesisSteps => Method::Thesis(Step::LocalCubic),
+            Self::ThesisButterworth => Method::Thesis(Step::Butterworth),
+            Self::ThesisAverage => Method::Thesis(Step::MovingAverage),
+            Self::ThesisMedian => Method::Thesis(Step::Median),
+            Self::Window => Method::Window(window, Order::Cubic),
+        }
+    }
+}
+
+/// Seeds of a motion in `--trials`.
+const TRIAL_SEEDS: u64 = 6;
 
 /// Runs `twum velocity`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum velocity` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    if args.trials {
+        print!("{}", score(&trial::Motion::all(), TRIAL_SEEDS)?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    let folder = args.folder.as_deref().expect("clap requires the folder without --trials");
+    let measurement = load(folder)?;
+    let runs = chosen(&measurement, args.run.as_deref())?;
+    let options = Options {
+        method: args.method.method(args.window),
+        edges_per_rev: measurement.edges_per_rev,
+        period_us: args.period_us,
+        edge_uncertainty_us: args.edge_uncertainty_us,
+    };
+    if args.method == MethodArg::ThesisSteps {
+        let Some(csv) = &args.csv else { bail!("--method thesis-steps goes with --csv") };
+        write_steps(csv, &runs, &options)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let motions = runs
+        .iter()
+        .map(|run| motion(run, &options).with_context(|| format!("run {}", run.id)))
+        .collect::<Result<Vec<_>>>()?;
+    if let Some(plot) = &args.plot {
+        draw(plot, &measurement, &runs, &motions, args.simulated_rpm)?;
+    }
+    let summaries: Vec<Summary> = runs.iter().zip(&motions).map(|(run, motion)| Summary::new(run, motion)).collect();
+    match &args.csv {
+        Some(csv) => write_motions(csv, &runs, &motions)?,
+        None if args.json => println!("{}", serde_json::to_string_pretty(&summaries)?),
+        None => print_summaries(&summaries),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn load(path: &Path) -> Result<Measurement> {
+    let named = path.file_name().is_some_and(|name| name == MANIFEST);
+    let folder = match path.parent() {
+        Some(parent) if named => {
+            if parent.as_os_str().is_empty() {
+                Path::new(".")
+            } else {
+                parent
+            }
+        }
+        _ => path,
+    };
+    if folder.is_file() {
+        bail!("{}: give a measurement folder (a recording becomes one by `twum export`)", path.display());
+    }
+    Ok(Measurement::load(folder)?)
+}
+
+fn chosen<'a>(measurement: &'a Measurement, id: Option<&str>) -> Result<Vec<&'a Run>> {
+    let runs: Vec<&Run> = measurement.runs.iter().filter(|run| id.is_none_or(|id| run.id == id)).collect();
+    if runs.is_empty() {
+        let ids: Vec<&str> = measurement.runs.iter().map(|run| run.id.as_str()).collect();
+        bail!("{} has no run {}; it has: {}", measurement.folder.display(), id.unwrap_or_default(), ids.join(", "));
+    }
+    Ok(runs)
+}
+
+fn draw(path: &Path, measurement: &Measurement, runs: &[&Run], motions: &[Motion], rpm: Option<f64>) -> Result<()> {
+    let picture = match (runs, motions) {
+        ([run], [motion]) => {
+            let ends = motion.time_us.first().zip(motion.time_us.last());
+            let simulated = rpm.zip(ends).map(|(rpm, (from, to))| Simulated::constant(rpm, from * 1e-6, to * 1e-6));
+            figure(&format!("{}, run {}", measurement.name, run.id), motion, simulated.as_ref())?
+        }
+        _ => {
+            let named: Vec<(&Run, &Motion)> = runs.iter().copied().zip(motions).collect();
+            overview(&measurement.name, &named, rpm)
+        }
+    };
+    picture.write(path)?;
+    Ok(())
+}
+
+/// What is said of one run.
+#[derive(Debug, Serialize)]
+struct Summary {
+    id: String,
+    duty: Option<f64>,
+    duration_s: f64,
+    edges: usize,
+    mean_rpm: Option<f64>,
+    speed_sd_rpm: Option<f64>,
+    start_peak_rpm: Option<f64>,
+    drift_rpm_per_s: Option<f64>,
+    ripple_rpm: Option<[f64; twum_host::signal::turn::ORDERS]>,
+    ripple_r2: Option<f64>,
+    turns: Option<f64>,
+    encoder: Option<EncoderErrors>,
+}
+
+impl Summary {
+    fn new(run: &Run, motion: &Motion) -> Self {
+        let found = findings(motion);
+        let fit: Option<&TurnFit> = found.fit.as_ref();
+        let known: Vec<f64> = motion.speed_rpm.iter().copied().filter(|v| v.is_finite()).collect();
+        let mean = |values: &[f64]| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+        let ends = motion.time_us.first().zip(motion.time_us.last());
+        let variances: Option<Vec<f64>> = motion.speed_sd_rpm.as_ref().map(|sd| sd.iter().map(|v| v * v).collect());
+        Self {
+            id: run.id.clone(),
+            duty: run.duty,
+            duration_s: ends.map_or(0.0, |(from, to)| (to - from) * 1e-6),
+            edges: motion.edges,
+            mean_rpm: mean(&known),
+            speed_sd_rpm: variances.as_deref().and_then(mean).map(f64::sqrt),
+            start_peak_rpm: found.start_peak.map(|(rpm, _)| rpm),
+            drift_rpm_per_s: fit.map(|f| f.drift_rpm_per_s),
+            ripple_rpm: fit.map(|f| f.amplitude_rpm),
+            ripple_r2: fit.map(|f| f.r2),
+            turns: fit.map(|f| f.turns),
+            encoder: motion.encoder,
+        }
+    }
+}
+
+fn print_summaries(summaries: &[Summary]) {
+    let shown = |v: Option<f64>, decimals: usize| v.map_or("-".to_owned(), |v| format!("{v:.decimals$}"));
+    let width = summaries.iter().map(|s| s.id.len()).max().unwrap_or(0).max(3);
+    println!(
+        "{:width$}  {:>5} {:>7} {:>6} {:>9} {:>8} {:>9} {:>9} {:>9} {:>9}",
+        "run", "duty", "time s", "edges", "mean rpm", "± rpm", "start rpm", "rpm/s", "1/turn", "2/turn"
+    );
+    for s in summaries {
+        println!(
+            "{:width$}  {:>5} {:>7.2} {:>6} {:>9} {:>8} {:>9} {:>9} {:>9} {:>9}",
+            s.id,
+            shown(s.duty, 2),
+            s.duration_s,
+            s.edges,
+            shown(s.mean_rpm, 3),
+            shown(s.speed_sd_rpm, 3),
+            shown(s.start_peak_rpm, 2),
+            shown(s.drift_rpm_per_s, 3),
+            shown(s.ripple_rpm.map(|a| a[0]), 2),
+            shown(s.ripple_rpm.map(|a| a[1]), 2),
+        );
+    }
+    eprintln!(
+        "± is the standard deviation of the estimate; drift and ripple are fitted after the first 0.2 s of runs over a turn."
+    );
+}
+
+fn open(path: &Path) -> Result<Box<dyn Write>> {
+    Ok(if path.as_os_str() == "-" {
+        Box::new(std::io::BufWriter::new(std::io::stdout().lock()))
+    } else {
+        let file = std::fs::File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+        Box::new(std::io::BufWriter::new(file))
+    })
+}
+
+fn write_motions(path: &Path, runs: &[&Run], motions: &[Motion]) -> Result<()> {
+    let mut out = open(path)?;
+    writeln!(out, "run,time_us,position_rad,rpm,rpm_sd")?;
+    for (run, m) in runs.iter().zip(motions) {
+        for i in 0..m.time_us.len() {
+            let sd = m.speed_sd_rpm.as_ref().map_or(String::new(), |sd| format!("{:.6}", sd[i]));
+            writeln!(out, "{},{:.3},{:.8},{:.6},{sd}", run.id, m.time_us[i], m.position_rad[i], m.speed_rpm[i])?;
+        }
+    }
+    Ok(out.flush()?)
+}
+
+fn write_steps(path: &Path, runs: &[&Run], options: &Options) -> Result<()> {
+    let mut out = open(path)?;
+    writeln!(out, "run,time_us,spline_rad,position_rad,rpm_raw,rpm_butterworth,rpm_moving_average,rpm_median")?;
+    for run in runs {
+        let s = thesis_steps(run, options).with_context(|| format!("run {}", run.id))?;
+        for i in 0..s.time_us.len() {
+            writeln!(
+                out,
+                "{},{:.3},{:.8},{:.8},{:.6},{:.6},{:.6},{:.6}",
+                run.id,
+                s.time_us[i],
+                s.spline_rad[i],
+                s.position_rad[i],
+                s.raw_rpm[i],
+                s.butterworth_rpm[i],
+                s.moving_average_rpm[i],
+                s.median_rpm[i]
+            )?;
+        }
+    }
+    Ok(out.flush()?)
 }

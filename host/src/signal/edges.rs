@@ -118,6 +118,48 @@ impl EdgeTrain {
         Self::new(start_us, end_us, edges_per_rev, intervals, directions)
     }
 
+    /// Edges behind a count read now and then, `(time in µs, count)`: a count that has moved by `n` has crossed `n`
+    /// boundaries since the reading before, taken as evenly spread.
+    ///
+    /// # Errors
+    /// A number of edges that is not above zero, times that do not increase, or a count that moves by more than 1000 at
+    /// once.
+    pub fn from_counts(counts: &[(f64, f64)], edges_per_rev: u32) -> Result<Self, SignalError> {
+        const FASTEST: i64 = 1000;
+        check_positive("edges a revolution", f64::from(edges_per_rev))?;
+        let mut edges = Vec::new();
+        let start = counts.first().map_or(0.0, |c| c.1);
+        for (i, pair) in counts.windows(2).enumerate() {
+            let [(from_us, from), (to_us, to)] = [pair[0], pair[1]];
+            if from_us.is_nan() || to_us.is_nan() || from_us >= to_us {
+                return Err(SignalError::Time { index: i + 1, time_us: to_us });
+            }
+            let (before, after) = ((from - start).round() as i64, (to - start).round() as i64);
+            let moved = after.abs_diff(before);
+            if moved > FASTEST as u64 {
+                return Err(SignalError::Jump { index: i + 1, from, to });
+            }
+            let step = if after > before { 1 } else { -1 };
+            for j in 0..moved {
+                let share = |k: u64| from_us + (to_us - from_us) * k as f64 / moved as f64;
+                let count = before + step * j as i64;
+                edges.push(Edge {
+                    after_us: share(j),
+                    before_us: share(j + 1),
+                    boundary: count.max(count + step),
+                    step: step as i8,
+                });
+            }
+        }
+        let end = |c: Option<&(f64, f64)>| c.map_or(0.0, |c| c.0);
+        Ok(Self {
+            start_us: end(counts.first()),
+            end_us: end(counts.last()),
+            pitch_rad: std::f64::consts::TAU / f64::from(edges_per_rev),
+            edges,
+        })
+    }
+
     fn new(
         start_us: f64,
         end_us: f64,
@@ -175,6 +217,17 @@ mod tests {
         let boundaries: Vec<i64> = train.edges.iter().map(|e| e.boundary).collect();
         assert_eq!(boundaries, [1, 2, 3, 4, 4, 3, 2, 1, 0]);
         assert_eq!(train.edges.last().unwrap().count_after(), -1);
+    }
+
+    #[test]
+    fn a_count_that_moves_crosses_boundaries_between_its_readings() {
+        let train = EdgeTrain::from_counts(&[(0.0, 5.0), (500.0, 7.0), (1000.0, 7.0), (1500.0, 6.0)], 400).unwrap();
+        let got: Vec<_> = train.edges.iter().map(|e| (e.after_us, e.before_us, e.boundary, e.step)).collect();
+        assert_eq!(got, [(0.0, 250.0, 1, 1), (250.0, 500.0, 2, 1), (1000.0, 1500.0, 2, -1)]);
+        assert!(matches!(
+            EdgeTrain::from_counts(&[(0.0, 0.0), (1.0, 1e12)], 400),
+            Err(SignalError::Jump { index: 1, .. })
+        ));
     }
 
     #[test]

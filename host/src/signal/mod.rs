@@ -3,15 +3,19 @@
 //! [`edges`] turns samples or timestamps into crossings of known angles and the interval each crossing is known to lie
 //! in. [`smoother`] is the estimator to use: it takes those intervals as they are, adapts to how fast the speed changes
 //! and says how sure it is. [`thesis`] is the thesis's method, kept to reproduce its figures; [`window`] is one fixed
-//! window, the yardstick for both. `docs/signals.md` compares them.
+//! window, the yardstick for both. [`spectrum`] and [`turn`] show what repeats in time and in angle. `docs/signals.md`
+//! compares the estimators.
 
 pub mod edges;
 pub mod filters;
+pub mod run;
 pub mod score;
 pub mod smoother;
+pub mod spectrum;
 pub mod spline;
 pub mod thesis;
 pub mod trial;
+pub mod turn;
 pub mod window;
 
 /// Revolutions a minute in a radian a second.
@@ -48,6 +52,33 @@ pub enum SignalError {
         /// Its value.
         value: f64,
     },
+    /// More samples than an estimate may have.
+    #[error("{samples} samples are asked for, {most} are the most: take a longer period")]
+    TooMany {
+        /// Samples asked for.
+        samples: usize,
+        /// The bound.
+        most: usize,
+    },
+    /// Not enough rotation.
+    #[error("{turns:.2} turns are too few: what varies over a turn shows after one turn at the earliest")]
+    TooFewTurns {
+        /// Turns in the record.
+        turns: f64,
+    },
+    /// A count that moves faster than any encoder.
+    #[error("the count goes from {from} to {to} in one step (row {index}): that is no encoder's")]
+    Jump {
+        /// Row of the later count, from 0.
+        index: usize,
+        /// Count before.
+        from: f64,
+        /// Count after.
+        to: f64,
+    },
+    /// A run without encoder data.
+    #[error("the run holds neither encoder data (levels, edges, packed, control) nor speed")]
+    NoEncoder,
     /// Times that do not increase.
     #[error("time {time_us} µs (entry {index}) does not come after the one before it")]
     Time {

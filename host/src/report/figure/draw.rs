@@ -249,7 +249,8 @@ impl<B: DrawingBackend> Canvas<B> {
         let bottom = cell.bottom - 46.0;
         let top = (cell.top + head + 8.0).min(bottom - 30.0);
         let y_ticks = y_axis.ticks((((bottom - top) / 38.0) as usize).clamp(2, 10));
-        let mut tick_width: f64 = 0.0;
+        // At least this wide, so that most panels above each other line up.
+        let mut tick_width = self.text_width("\u{2212}00.0", TEXT_PX)?;
         for (_, text) in &y_ticks {
             tick_width = tick_width.max(self.text_width(text, TEXT_PX)?);
         }
@@ -274,8 +275,9 @@ impl<B: DrawingBackend> Canvas<B> {
                 }
             }
         }
-        let (a, b) = (self.at((frame.left, frame.top)), self.at((frame.right, frame.bottom)));
-        self.area.draw(&Rectangle::new([a, b], self.stroke(FRAME_INK, 1.0))).map_err(refused)
+        let Frame { left, top, right, bottom } = frame;
+        let around = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)];
+        self.path(&around, self.stroke(FRAME_INK, 1.0))
     }
 
     fn axes(
@@ -302,11 +304,12 @@ impl<B: DrawingBackend> Canvas<B> {
         self.text(&panel.y_label, (cell.left + 15.0, middle.1), TEXT_PX, Place::Up, FontStyle::Normal)
     }
 
-    /// The labelled series, broken into rows that fit `width`; each entry is its index and its x offset.
+    /// The labelled series, each label once, broken into rows that fit `width`; each entry is its index and its x offset.
     fn legend_rows(&self, panel: &Panel, width: f64) -> Result<Vec<Vec<(usize, f64)>>, FigureError> {
         let mut rows: Vec<Vec<(usize, f64)>> = Vec::new();
         let mut x = f64::INFINITY;
-        for (i, series) in panel.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty()) {
+        let listed = |i: usize, label: &str| label.is_empty() || panel.series[..i].iter().any(|s| s.label == label);
+        for (i, series) in panel.series.iter().enumerate().filter(|(i, s)| !listed(*i, &s.label)) {
             let needed = 30.0 + self.text_width(&series.label, TEXT_PX)? + 18.0;
             if x + needed > width {
                 rows.push(Vec::new());

@@ -1,0 +1,283 @@
+//! Position and speed of a recorded run, whatever it was recorded as.
+
+use super::edges::{Directions, EdgeTrain};
+use super::smoother::smooth;
+use super::thesis::{self, ThesisEstimate};
+use super::window::{self, Order};
+use super::{RAD_S_TO_RPM, SignalError};
+use crate::record::convert::to_levels;
+use crate::record::measurement::{Direction, DriveResponse, Run, RunData};
+
+/// Sampling period of the thesis's capture in µs (thesis, C.1), used where a record has none of its own.
+pub const THESIS_PERIOD_US: f64 = 1000.0;
+
+/// How speed is estimated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Method {
+    /// [`super::smoother`].
+    Smoother,
+    /// [`super::thesis`], up to this step.
+    Thesis(Step),
+    /// [`super::window`] over this many samples.
+    Window(usize, Order),
+}
+
+/// A step of the thesis's method that gives a speed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// The derivative of the cubic over 21 samples.
+    LocalCubic,
+    /// After the Butterworth filter.
+    Butterworth,
+    /// After the moving average.
+    MovingAverage,
+    /// After the median.
+    Median,
+}
+
+/// What the estimate takes from outside the record.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// How speed is estimated.
+    pub method: Method,
+    /// Encoder edges a revolution.
+    pub edges_per_rev: u32,
+    /// Distance of the estimates in µs; `None` for that of the record's samples, or 1 ms where it has none.
+    pub period_us: Option<f64>,
+    /// Edges recorded with times are true within plus or minus this, in µs.
+    pub edge_uncertainty_us: f64,
+}
+
+/// Position and speed over time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Motion {
+    /// In µs, ascending.
+    pub time_us: Vec<f64>,
+    /// In rad, signed, from the start of the record.
+    pub position_rad: Vec<f64>,
+    /// In rpm, signed.
+    pub speed_rpm: Vec<f64>,
+    /// Standard deviation of the speed in rpm, where the method knows it.
+    pub speed_sd_rpm: Option<Vec<f64>>,
+    /// Edges seen; 0 when the record holds speeds.
+    pub edges: usize,
+    /// What the smoother found out about the encoder.
+    pub encoder: Option<EncoderErrors>,
+}
+
+/// The encoder's errors as the smoother found them.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct EncoderErrors {
+    /// Standard deviation of the boundaries from equal spacing, in pitches.
+    pub irregularity_pitch: f64,
+    /// Shift of the odd boundaries against the even ones, in pitches.
+    pub odd_shift_pitch: f64,
+}
+
+/// The edges of a run, from levels, timestamps or counts.
+///
+/// # Errors
+/// [`SignalError::NoEncoder`] when the run holds no encoder data, and as [`EdgeTrain`]'s constructors.
+pub fn edges(run: &Run, edges_per_rev: u32, edge_uncertainty_us: f64) -> Result<EdgeTrain, SignalError> {
+    let directions = Directions::constant(run.direction.unwrap_or(Direction::Cw));
+    match &run.data {
+        RunData::Levels { start_us, period_us, levels } => {
+            EdgeTrain::from_levels(*start_us, *period_us, levels, edges_per_rev, &directions)
+        }
+        RunData::Edges { start_us, end_us, edges, .. } => {
+            EdgeTrain::from_times(*start_us, *end_us, edges, edge_uncertainty_us, edges_per_rev, &directions)
+        }
+        RunData::Control(rows) => {
+            let counts: Vec<(f64, f64)> = rows.iter().map(|r| (r.time_us, r.position)).collect();
+            EdgeTrain::from_counts(&counts, edges_per_rev)
+        }
+        RunData::Velocity { .. } | RunData::Drive { .. } => Err(SignalError::NoEncoder),
+    }
+}
+
+/// Estimates the motion of a run. A record of speeds is handed on as it is, its position by the trapezoidal rule.
+///
+/// # Errors
+/// [`SignalError::NoEncoder`] when there is neither encoder data nor speed, and what the method refuses.
+pub fn motion(run: &Run, options: &Options) -> Result<Motion, SignalError> {
+    match &run.data {
+        RunData::Velocity { time_us, rpm } => return Ok(Motion::of_speeds(time_us, rpm)),
+        RunData::Drive { time_us, response: DriveResponse::SpeedRpm(rpm), .. } => {
+            return Ok(Motion::of_speeds(time_us, rpm));
+        }
+        _ => {}
+    }
+    match options.method {
+        Method::Smoother => smoothed(run, options),
+        Method::Thesis(step) => of_thesis(run, options, step),
+        Method::Window(samples, order) => windowed(run, options, samples, order),
+    }
+}
+
+/// Every step of the thesis's method on a run, with the sign of its direction left out.
+///
+/// # Errors
+/// [`SignalError::NoEncoder`] when the run holds no encoder line, and as [`thesis::estimate`].
+pub fn thesis_steps(run: &Run, options: &Options) -> Result<ThesisEstimate, SignalError> {
+    let levels = match &run.data {
+        data @ RunData::Edges { .. } => to_levels(data.clone(), options.period_us.unwrap_or(THESIS_PERIOD_US)),
+        data => data.clone(),
+    };
+    match levels {
+        RunData::Levels { start_us, period_us, levels } => {
+            thesis::estimate(start_us, period_us, &levels, options.edges_per_rev)
+        }
+        _ => Err(SignalError::NoEncoder),
+    }
+}
+
+impl Motion {
+    fn of_speeds(time_us: &[f64], speed_rpm: &[f64]) -> Self {
+        let mut position_rad = Vec::with_capacity(time_us.len());
+        let mut angle = 0.0;
+        for i in 0..time_us.len() {
+            if i > 0 {
+                let step_s = (time_us[i] - time_us[i - 1]) * 1e-6;
+                angle += 0.5 * (speed_rpm[i] + speed_rpm[i - 1]) / RAD_S_TO_RPM * step_s;
+            }
+            position_rad.push(angle);
+        }
+        Self {
+            time_us: time_us.to_vec(),
+            position_rad,
+            speed_rpm: speed_rpm.to_vec(),
+            speed_sd_rpm: None,
+            edges: 0,
+            encoder: None,
+        }
+    }
+}
+
+/// Times at which the run is estimated.
+fn grid(run: &Run, options: &Options, train: &EdgeTrain) -> Result<Vec<f64>, SignalError> {
+    let own = match &run.data {
+        RunData::Levels { period_us, .. } => *period_us,
+        _ => THESIS_PERIOD_US,
+    };
+    let period_us = options.period_us.unwrap_or(own);
+    super::check_positive("the period of the estimates (µs)", period_us)?;
+    let count = ((train.end_us - train.start_us) / period_us + 1e-6).floor() as usize + 1;
+    const MOST: usize = 100_000_000;
+    if count > MOST {
+        return Err(SignalError::TooMany { samples: count, most: MOST });
+    }
+    Ok((0..count).map(|i| train.start_us + i as f64 * period_us).collect())
+}
+
+fn smoothed(run: &Run, options: &Options) -> Result<Motion, SignalError> {
+    let train = edges(run, options.edges_per_rev, options.edge_uncertainty_us)?;
+    let found = smooth(&train, &grid(run, options, &train)?)?;
+    Ok(Motion {
+        time_us: found.time_us,
+        position_rad: found.position_rad,
+        speed_rpm: found.speed_rpm,
+        speed_sd_rpm: Some(found.speed_sd_rpm),
+        edges: train.edges.len(),
+        encoder: Some(EncoderErrors {
+            irregularity_pitch: found.irregularity_pitch,
+            odd_shift_pitch: found.odd_shift_pitch,
+        }),
+    })
+}
+
+fn of_thesis(run: &Run, options: &Options, step: Step) -> Result<Motion, SignalError> {
+    let sign = run.direction.unwrap_or(Direction::Cw).sign();
+    let steps = thesis_steps(run, options)?;
+    let rpm = match step {
+        Step::LocalCubic => steps.raw_rpm,
+        Step::Butterworth => steps.butterworth_rpm,
+        Step::MovingAverage => steps.moving_average_rpm,
+        Step::Median => steps.median_rpm,
+    };
+    Ok(Motion {
+        time_us: steps.time_us,
+        position_rad: steps.position_rad.iter().map(|p| sign * p).collect(),
+        speed_rpm: rpm.iter().map(|v| sign * v).collect(),
+        speed_sd_rpm: None,
+        edges: edges(run, options.edges_per_rev, options.edge_uncertainty_us)?.edges.len(),
+        encoder: None,
+    })
+}
+
+fn windowed(run: &Run, options: &Options, samples: usize, order: Order) -> Result<Motion, SignalError> {
+    let train = edges(run, options.edges_per_rev, options.edge_uncertainty_us)?;
+    let time_us = grid(run, options, &train)?;
+    let period_us = time_us.get(1).map_or(THESIS_PERIOD_US, |t| t - time_us[0]);
+    let speed_rpm = window::speed_rpm(&train, period_us, time_us.len(), samples, order)?;
+    // Where the window knows no speed, the position stays.
+    let known: Vec<f64> = speed_rpm.iter().map(|v| if v.is_finite() { *v } else { 0.0 }).collect();
+    let position_rad = Motion::of_speeds(&time_us, &known).position_rad;
+    Ok(Motion { position_rad, speed_rpm, time_us, speed_sd_rpm: None, edges: train.edges.len(), encoder: None })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::measurement::{ControlRow, RunKind};
+    use crate::signal::trial::{self, Trial};
+
+    fn options(method: Method) -> Options {
+        Options { method, edges_per_rev: 400, period_us: None, edge_uncertainty_us: 1.0 }
+    }
+
+    fn run(data: RunData) -> Run {
+        Run { direction: Some(Direction::Ccw), ..Run::new("a", RunKind::Speed, data) }
+    }
+
+    #[test]
+    fn every_method_gives_the_signed_speed_of_levels() {
+        let trial = Trial::new(trial::Motion::Steady { rpm: 30.9 }, 1);
+        let run = run(RunData::Levels { start_us: 0.0, period_us: 1000.0, levels: trial.levels().to_vec() });
+        for method in [
+            Method::Smoother,
+            Method::Thesis(Step::LocalCubic),
+            Method::Thesis(Step::Butterworth),
+            Method::Thesis(Step::MovingAverage),
+            Method::Thesis(Step::Median),
+            Method::Window(61, Order::Cubic),
+        ] {
+            let got = motion(&run, &options(method)).unwrap();
+            let middle = &got.speed_rpm[500..2500];
+            let mean = middle.iter().sum::<f64>() / middle.len() as f64;
+            assert!((mean + 30.9).abs() < 0.1, "{method:?}: {mean}");
+            let turned = got.position_rad[2500] - got.position_rad[500];
+            assert!((turned / (30.9 / RAD_S_TO_RPM * 2.0) + 1.0).abs() < 0.01, "{method:?}: {turned}");
+        }
+    }
+
+    #[test]
+    fn counts_of_a_control_loop_give_its_speed() {
+        let rows = (0..4000)
+            .map(|i| ControlRow {
+                time_us: f64::from(i) * 500.0,
+                target: 0.0,
+                position: -(f64::from(i) * 0.1).floor(),
+                u: 0.0,
+                duty: 0.0,
+                direction: Direction::Ccw,
+            })
+            .collect();
+        let got = motion(&run(RunData::Control(rows)), &options(Method::Smoother)).unwrap();
+        assert!((got.speed_rpm[1000] + 30.0).abs() < 0.01, "{}", got.speed_rpm[1000]);
+    }
+
+    #[test]
+    fn speeds_are_handed_on_and_integrated() {
+        let data = RunData::Velocity { time_us: vec![0.0, 1e6, 2e6], rpm: vec![0.0, 60.0, 60.0] };
+        let got = motion(&run(data), &options(Method::Smoother)).unwrap();
+        assert_eq!(got.speed_rpm, [0.0, 60.0, 60.0]);
+        assert!((got.position_rad[2] - 1.5 * std::f64::consts::TAU).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_position_sensor_is_not_an_encoder_line() {
+        let response = DriveResponse::PositionRad(vec![0.0]);
+        let data = RunData::Drive { time_us: vec![0.0], input: vec![0.0], response };
+        assert_eq!(motion(&run(data), &options(Method::Smoother)), Err(SignalError::NoEncoder));
+    }
+}
