@@ -78,9 +78,23 @@ fn main() {
                 out.unknown.iter().map(|u| format!("{} {:.3}", u.lives_in, u.gain)).collect::<Vec<_>>()
             );
             for f in out.findings.iter().filter(|f| f.status != Status::Rejected || f.p_null < 0.02) {
-                let p: Vec<String> =
-                    f.parameters.iter().map(|p| format!("{}={:.4} [{:.4},{:.4}]", p.name, p.value, p.interval[0], p.interval[1])).collect();
-                println!("    {:?} {} gain {:.3} [{:.3},{:.3}] p {:.3} {:?} {} (true {:?})", f.status, f.name, f.gain, f.gain_interval[0], f.gain_interval[1], f.p_null, p, f.note, hidden.first().and_then(|h| h.comparable()));
+                let p: Vec<String> = f
+                    .parameters
+                    .iter()
+                    .map(|p| format!("{}={:.4} [{:.4},{:.4}]", p.name, p.value, p.interval[0], p.interval[1]))
+                    .collect();
+                println!(
+                    "    {:?} {} gain {:.3} [{:.3},{:.3}] p {:.3} {:?} {} (true {:?})",
+                    f.status,
+                    f.name,
+                    f.gain,
+                    f.gain_interval[0],
+                    f.gain_interval[1],
+                    f.p_null,
+                    p,
+                    f.note,
+                    hidden.first().and_then(|h| h.comparable())
+                );
             }
         }
     }

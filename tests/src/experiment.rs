@@ -37,7 +37,13 @@ pub struct Design {
 impl Design {
     /// A small experiment for bulk statistics: 6 duties, both directions, 3 trials of 2.5 s.
     pub fn small() -> Self {
-        Self { duties: vec![0.18, 0.33, 0.5, 0.66, 0.83, 1.0], trials: 3, seconds: 2.5, both_directions: true, pwm_hz: vec![PWM_HZ] }
+        Self {
+            duties: vec![0.18, 0.33, 0.5, 0.66, 0.83, 1.0],
+            trials: 3,
+            seconds: 2.5,
+            both_directions: true,
+            pwm_hz: vec![PWM_HZ],
+        }
     }
 
     /// The thesis's experiment in both directions: 11 duties, 5 trials of 5 s.
@@ -159,14 +165,35 @@ impl Sealed {
     }
 
     #[allow(clippy::too_many_arguments)]
-    fn run(&self, k: usize, duty: f64, sign: f64, pwm_hz: f64, history: History, hidden: &[Hidden], table: &ContactTable) -> Made {
+    fn run(
+        &self,
+        k: usize,
+        duty: f64,
+        sign: f64,
+        pwm_hz: f64,
+        history: History,
+        hidden: &[Hidden],
+        table: &ContactTable,
+    ) -> Made {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed.wrapping_mul(1_000_003).wrapping_add(k as u64));
         let run_gain = 1.0 + normal(&mut rng, self.nuisance.gain_spread);
         let zero_angle = rng.random_range(0.0..TAU);
         let cut = if rng.random::<f64>() < 0.5 { rng.random_range(0.0..self.nuisance.truncation) } else { 0.0 };
         let record_s = (self.design.seconds + 0.15) * (1.0 - cut);
         let motor = stiffened(&self.motor, hidden);
-        let mut trace = Trace::new(&motor, table, duty, sign, pwm_hz, self.design.seconds, zero_angle, run_gain, history, hidden, rng.random());
+        let mut trace = Trace::new(
+            &motor,
+            table,
+            duty,
+            sign,
+            pwm_hz,
+            self.design.seconds,
+            zero_angle,
+            run_gain,
+            history,
+            hidden,
+            rng.random(),
+        );
         let wheel = Wheel::new(hidden);
         let samples = (record_s / SAMPLE_S) as usize;
         let mut levels = Vec::with_capacity(samples);
@@ -254,8 +281,19 @@ impl Sealed {
             .runs
             .par_iter()
             .map(|run| {
-                let mut trace =
-                    Trace::new(motor, &table, run.duty, run.sign, run.pwm_hz, run.seconds, 0.0, 1.0, History::default(), &[], 0);
+                let mut trace = Trace::new(
+                    motor,
+                    &table,
+                    run.duty,
+                    run.sign,
+                    run.pwm_hz,
+                    run.seconds,
+                    0.0,
+                    1.0,
+                    History::default(),
+                    &[],
+                    0,
+                );
                 let mut out = Vec::new();
                 let mut last: Option<(f64, f64)> = None;
                 for n in 1..run.levels.len() {
@@ -286,7 +324,15 @@ fn nudged(motor: &Motor, latency: f64, k: usize) -> (Motor, f64, f64) {
         3 => m.viscous *= 1.0 + 20.0 * h,
         _ => return (m, latency + 1e-4, 1e-4),
     }
-    (m, latency, match k { 0 => h, 3 => 20.0 * h, _ => 5.0 * h })
+    (
+        m,
+        latency,
+        match k {
+            0 => h,
+            3 => 20.0 * h,
+            _ => 5.0 * h,
+        },
+    )
 }
 
 /// Coefficients of `columns` that best explain `y` (normal equations, Gaussian elimination).
@@ -517,7 +563,7 @@ impl<'a> Trace<'a> {
                 "run-in-wear" => {
                     let r0 = h.between(0, 1.0, 15.0);
                     let revs = self.history.revolutions + self.state.angle.abs() / TAU;
-                    d.gain *= 1.0 + 0.6 * s * h.sign() * (revs / (revs + r0) - 0.5) ;
+                    d.gain *= 1.0 + 0.6 * s * h.sign() * (revs / (revs + r0) - 0.5);
                 }
                 "outside-cogging" => d.gain *= (1.0 + 0.5 * s * (7.0 * theta).cos()).max(0.05),
                 "outside-rhythm" => d.gain *= 1.0 + 0.5 * s * (TAU * 2.7 * t + 1.0).sin(),

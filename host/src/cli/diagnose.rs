@@ -49,9 +49,14 @@ pub fn run(args: Args) -> Result<ExitCode> {
     for folder in &args.folders {
         measurements.push(Measurement::load(folder).with_context(|| format!("reading {}", folder.display()))?);
     }
-    let bar = ProgressBar::new(100).with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
-    let options =
-        Options { seed: args.seed, quick: args.quick, coasting: args.flavour == FlavourArg::Thesis, ..Options::default() };
+    let bar = ProgressBar::new(100)
+        .with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
+    let options = Options {
+        seed: args.seed,
+        quick: args.quick,
+        coasting: args.flavour == FlavourArg::Thesis,
+        ..Options::default()
+    };
     let (diagnosis, _details) = diagnose(&measurements, &options, &|what, share| {
         bar.set_message(what.to_owned());
         bar.set_position((share * 100.0) as u64);

@@ -150,7 +150,8 @@ impl Diagnosis {
         let explained = explained_gain(outcome);
         // A named cause must not leave behind, unexplained, a good part of what it claims to explain.
         let left = outcome.unknown.iter().map(|u| u.gain).fold(0.0, f64::max);
-        let lack = left >= super::search::LEAST_GAIN || (explained > 0.0 && left >= super::search::LACK_OF_FIT * explained);
+        let lack =
+            left >= super::search::LEAST_GAIN || (explained > 0.0 && left >= super::search::LACK_OF_FIT * explained);
         if lack && explained > 0.0 {
             for f in findings.iter_mut().filter(|f| f.status != Status::Rejected) {
                 f.status = Status::Rejected;
@@ -196,7 +197,11 @@ impl Diagnosis {
             unknown: outcome
                 .unknown
                 .iter()
-                .map(|u: &Unknown| UnknownAnswer { lives_in: u.lives_in.to_owned(), gain_heldout: u.gain, p_null: u.p_null })
+                .map(|u: &Unknown| UnknownAnswer {
+                    lives_in: u.lives_in.to_owned(),
+                    gain_heldout: u.gain,
+                    p_null: u.p_null,
+                })
                 .collect(),
             not_judged: outcome.not_judged.iter().cloned().collect(),
             notes,
@@ -273,10 +278,20 @@ pub fn text(d: &Diagnosis, says: &dyn Fn(&str) -> Option<(&'static str, &'static
     for e in &suspects {
         line(String::new());
         let (sentence, equation) = says(&e.name).unwrap_or(("", ""));
-        line(format!("{}   {} — {sentence}.", if e.status == "named" { "Cause        " } else { "Possible cause" }, e.name));
+        line(format!(
+            "{}   {} — {sentence}.",
+            if e.status == "named" { "Cause        " } else { "Possible cause" },
+            e.name
+        ));
         line(format!("  model gains   {equation}"));
         for (name, p) in &e.parameters {
-            line(format!("                {name} = {} {}  (95 %: {} to {})", short(p.value), unit(&p.unit), short(p.ci95[0]), short(p.ci95[1])));
+            line(format!(
+                "                {name} = {} {}  (95 %: {} to {})",
+                short(p.value),
+                unit(&p.unit),
+                short(p.ci95[0]),
+                short(p.ci95[1])
+            ));
         }
         line(format!(
             "  how sure      it removes {:.0} % of the error on runs it was not fitted to (95 %: {:.0} to {:.0} %); chance, \
@@ -301,7 +316,10 @@ pub fn text(d: &Diagnosis, says: &dyn Fn(&str) -> Option<(&'static str, &'static
     }
     line(String::new());
     if let (Some(a), Some(u)) = (d.extended.rmse_speed_rpm, d.unexplained_fraction) {
-        line(format!("Afterwards      {a:.2} rpm RMS on runs not fitted; {:.0} % of the squared error stays unexplained.", 100.0 * u));
+        line(format!(
+            "Afterwards      {a:.2} rpm RMS on runs not fitted; {:.0} % of the squared error stays unexplained.",
+            100.0 * u
+        ));
     }
     for u in &d.unknown {
         line(format!(

@@ -61,7 +61,13 @@ pub const PHASED_SCALE: f64 = 0.3;
 pub type Split<'a> = &'a (dyn Fn(Vec<RunDesign>) -> Vec<RunDesign> + Sync);
 
 /// Fits `free` (the first must be the free speed) and `phased`, starting from `model`.
-pub fn refit(problem: &Problem, mut model: Model, free: &[Free], phased: &[Phased], iterations: usize) -> (Model, Vec<PhasedFit>) {
+pub fn refit(
+    problem: &Problem,
+    mut model: Model,
+    free: &[Free],
+    phased: &[Phased],
+    iterations: usize,
+) -> (Model, Vec<PhasedFit>) {
     let mut fits = Vec::new();
     let rounds = if phased.is_empty() { 1 } else { 2 };
     for _ in 0..rounds {

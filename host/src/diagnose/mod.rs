@@ -80,7 +80,10 @@ pub fn diagnose(
                 "runs of an ordinary motor (format `drive`) and of a TWUM cannot be diagnosed together: name one kind of folder".to_owned(),
             ));
         }
-        return Ok((Diagnosis::impossible(vec!["runs of format `drive` are not supported yet".to_owned()], options.seed), None));
+        return Ok((
+            Diagnosis::impossible(vec!["runs of format `drive` are not supported yet".to_owned()], options.seed),
+            None,
+        ));
     }
     let mut notes = Vec::new();
     let mut runs = Vec::new();

@@ -416,7 +416,8 @@ impl Piece {
         let dt = dt.min(self.duration);
         match self.motion {
             Motion::Linear(a) => {
-                let w = if dt >= self.duration && a != 0.0 && (speed + a * dt).abs() < 1e-7 { 0.0 } else { speed + a * dt };
+                let w =
+                    if dt >= self.duration && a != 0.0 && (speed + a * dt).abs() < 1e-7 { 0.0 } else { speed + a * dt };
                 (speed * dt + 0.5 * a * dt * dt, w)
             }
             Motion::Approach { to, rate } => {

@@ -1,6 +1,8 @@
 //! The real firmware library on its simulated board, with the host's own session on top, in virtual time.
 
 mod bench;
+mod chaos;
 mod faults;
 mod recording;
 mod runs;
+mod soak;
