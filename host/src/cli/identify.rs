@@ -1,13 +1,109 @@
 //! `twum identify`.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
+use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::identify::{figures, read, stator};
 
 /// Arguments of `twum identify`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// The stator's equivalent circuit, from impedance, admittance, waveforms or a Touchstone file
+    Stator(Stator),
+}
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  twum identify stator sweep.csv --figure sweep.svg
+  twum identify stator waveforms.csv --shunt 2000 --shunt-tolerance 0.01 --json
+  twum identify stator analyser.s1p --eta 0.54 --eta-relative 0.1
+
+CSV columns: frequency_hz,z_re,z_im  or  frequency_hz,g,b  or  frequency_hz,time_s,v1,v2;
+a folder holds one file a frequency (time_s,v1,v2, the frequency in its name).
+Exit code: 0 a resonance was found, 1 none was, 2 bad input.")]
+struct Stator {
+    /// CSV or .s1p file, or a folder of waveform files
+    file: PathBuf,
+    /// Shunt resistance for waveforms (ohm)
+    #[arg(long, value_name = "OHM")]
+    shunt: Option<f64>,
+    /// Tolerance of the shunt as a share (0.01 for 1 %), taken as a uniform distribution
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    shunt_tolerance: f64,
+    /// Where the shunt sits: before the stator (v2 across the stator) or at ground (v2 across the shunt)
+    #[arg(long, value_enum, default_value_t)]
+    shunt_side: read::Shunt,
+    /// Capacitance of probe and cables across the stator to take off (pF)
+    #[arg(long, value_name = "PF", default_value_t = 0.0)]
+    stray_pf: f64,
+    /// Force factor for the mechanical values (N/V)
+    #[arg(long, value_name = "N/V", default_value_t = stator::THESIS_FORCE_FACTOR)]
+    eta: f64,
+    /// Its relative standard uncertainty (0 takes it as exact)
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    eta_relative: f64,
+    /// Also fit resistance and inductance of the leads and the loss tangent
+    #[arg(long)]
+    parasitics: bool,
+    /// Intervals by bootstrap with so many replicates instead of the covariance
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    bootstrap: usize,
+    /// Seed of the bootstrap
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Write Nyquist and Bode plots here (.svg or .png)
+    #[arg(long, value_name = "FILE")]
+    figure: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
 
 /// Runs `twum identify`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum identify` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    match args.what {
+        What::Stator(args) => run_stator(args),
+    }
+}
+
+fn run_stator(args: Stator) -> Result<ExitCode> {
+    for (name, share) in [("--shunt-tolerance", args.shunt_tolerance), ("--eta-relative", args.eta_relative)] {
+        if !(0.0..1.0).contains(&share) {
+            bail!("{name} is a share from 0 to below 1, got {share}");
+        }
+    }
+    if !(args.eta.is_finite() && args.eta > 0.0) {
+        bail!("--eta must be positive, got {}", args.eta);
+    }
+    if !(args.stray_pf.is_finite() && args.stray_pf >= 0.0) {
+        bail!("--stray-pf must not be negative, got {}", args.stray_pf);
+    }
+    let options = read::ReadOptions { shunt_ohm: args.shunt, shunt: args.shunt_side, stray_f: args.stray_pf * 1e-12 };
+    let sweep = read::read(&args.file, &options)?;
+    let options = stator::Options {
+        parasitics: args.parasitics,
+        force_factor_n_v: args.eta,
+        force_factor_relative: args.eta_relative,
+        shunt_relative: args.shunt_tolerance / 3f64.sqrt(),
+        bootstrap: args.bootstrap,
+        seed: args.seed,
+    };
+    let found = stator::identify(&sweep, &options).with_context(|| {
+        format!("{}: no circuit could be fitted: is this an admittance sweep of a stator?", args.file.display())
+    })?;
+    if let Some(path) = &args.figure {
+        figures::stator(&sweep, &found).write(path).with_context(|| path.display().to_string())?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string(&found.report)?);
+    } else {
+        print!("{}", found.report.text());
+    }
+    Ok(if found.report.verdict == stator::Verdict::NoResonance { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }

@@ -202,10 +202,7 @@ mod tests {
             loss_tangent: 0.01,
             lead_ohm: 30.0,
             lead_h: 2e-5,
-            modes: vec![
-                Mode { fs_hz: 44_000.0, c_f: 6e-12, q: 32.0 },
-                Mode { fs_hz: 47_000.0, c_f: 2e-12, q: 80.0 },
-            ],
+            modes: vec![Mode { fs_hz: 44_000.0, c_f: 6e-12, q: 32.0 }, Mode { fs_hz: 47_000.0, c_f: 2e-12, q: 80.0 }],
         }
     }
 

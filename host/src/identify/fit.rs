@@ -136,8 +136,7 @@ impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
-        let jacobian =
-            self.layout.jacobian(&self.layout.unpack(&self.parameters), self.frequency_hz, self.sigma_s);
+        let jacobian = self.layout.jacobian(&self.layout.unpack(&self.parameters), self.frequency_hz, self.sigma_s);
         jacobian.iter().all(|x| x.is_finite()).then_some(jacobian)
     }
 }

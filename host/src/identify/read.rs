@@ -256,15 +256,13 @@ fn folder(path: &Path, options: &ReadOptions) -> Result<Sweep, ReadError> {
             .ok_or_else(|| line(&name, 1, format!("columns `{}`; expected `time_s,v1,v2`", table.header.join(","))))?;
         let stated = match table.columns(&["frequency_hz"]) {
             Some(column) => Some(table.rows[0].1[column[0]]),
-            None => table
-                .comments
-                .iter()
-                .find_map(|c| c.strip_prefix("frequency_hz").and_then(|r| r.trim_start_matches([' ', '=', ':']).parse().ok())),
+            None => table.comments.iter().find_map(|c| {
+                c.strip_prefix("frequency_hz").and_then(|r| r.trim_start_matches([' ', '=', ':']).parse().ok())
+            }),
         };
-        let f = stated
-            .or_else(|| frequency_in_name(&name))
-            .filter(|f: &f64| *f > 0.0 && f.is_finite())
-            .ok_or_else(|| file(&name, "no frequency: name the file by it (`44100.csv`) or add `# frequency_hz = 44100`"))?;
+        let f = stated.or_else(|| frequency_in_name(&name)).filter(|f: &f64| *f > 0.0 && f.is_finite()).ok_or_else(
+            || file(&name, "no frequency: name the file by it (`44100.csv`) or add `# frequency_hz = 44100`"),
+        )?;
         let mut w = empty(f);
         for (_, row) in &table.rows {
             w.time_s.push(row[columns[0]]);
@@ -278,11 +276,8 @@ fn folder(path: &Path, options: &ReadOptions) -> Result<Sweep, ReadError> {
 
 fn frequency_in_name(path: &Path) -> Option<f64> {
     let stem = path.file_stem()?.to_str()?;
-    let digits: String = stem
-        .chars()
-        .skip_while(|c| !c.is_ascii_digit())
-        .take_while(|c| c.is_ascii_digit() || *c == '.')
-        .collect();
+    let digits: String =
+        stem.chars().skip_while(|c| !c.is_ascii_digit()).take_while(|c| c.is_ascii_digit() || *c == '.').collect();
     digits.trim_end_matches('.').parse().ok()
 }
 
@@ -291,9 +286,9 @@ fn from_waveforms(
     waveforms: Vec<(PathBuf, usize, Waveform)>,
     options: &ReadOptions,
 ) -> Result<Sweep, ReadError> {
-    let shunt = options
-        .shunt_ohm
-        .ok_or_else(|| file(path, "holds waveforms: give the shunt resistance with --shunt OHM (the thesis's was 2000)"))?;
+    let shunt = options.shunt_ohm.ok_or_else(|| {
+        file(path, "holds waveforms: give the shunt resistance with --shunt OHM (the thesis's was 2000)")
+    })?;
     let mut points = Vec::with_capacity(waveforms.len());
     for (name, number, w) in &waveforms {
         points.push(
@@ -388,11 +383,10 @@ fn touchstone(path: &Path) -> Result<Sweep, ReadError> {
                     w @ ("S" | "Y" | "Z") => kind = w.chars().next().unwrap_or('S'),
                     w @ ("RI" | "MA" | "DB") => form = w.to_owned(),
                     "R" => {
-                        reference = words
-                            .next()
-                            .and_then(|r| r.parse::<f64>().ok())
-                            .filter(|r| *r > 0.0)
-                            .ok_or_else(|| line(path, number, "`R` needs a positive reference resistance in ohm"))?;
+                        reference =
+                            words.next().and_then(|r| r.parse::<f64>().ok()).filter(|r| *r > 0.0).ok_or_else(|| {
+                                line(path, number, "`R` needs a positive reference resistance in ohm")
+                            })?;
                     }
                     other => return Err(line(path, number, format!("unknown Touchstone option `{other}`"))),
                 }
