@@ -10,7 +10,13 @@ use std::f64::consts::TAU;
 pub fn stator(sweep: &Sweep, found: &Identification) -> Figure {
     let circuit = found.fit.circuit();
     let (low, high) = sweep.range_hz();
-    let dense: Vec<f64> = (0..2000).map(|i| low * (high / low).powf(i as f64 / 1999.0)).collect();
+    // Even over the sweep, and a circle's worth of points round each resonance.
+    let mut dense: Vec<f64> = (0..1500).map(|i| low * (high / low).powf(i as f64 / 1499.0)).collect();
+    for mode in &circuit.modes {
+        dense.extend((-80..=80).map(|i| mode.fs_hz * (1.0 + (f64::from(i) * 0.019).tan() / (2.0 * mode.q))));
+    }
+    dense.retain(|f| (low..=high).contains(f));
+    dense.sort_by(f64::total_cmp);
     let fitted: Vec<(f64, Complex<f64>)> = dense.iter().map(|&f| (f, circuit.admittance(f))).collect();
     let measured: Vec<(f64, Complex<f64>)> = sweep.points.iter().map(|p| (p.frequency_hz, p.admittance_s)).collect();
     // The Nyquist plot is about the resonances: what lies far off them would squeeze the circles flat.

@@ -150,7 +150,8 @@ pub fn minimise(
     start: &Circuit,
 ) -> Option<Circuit> {
     let problem = Problem { layout, frequency_hz, admittance_s, sigma_s, parameters: layout.pack(start) };
-    let (problem, report) = LevenbergMarquardt::new().with_patience(60).minimize(problem);
+    let (problem, report) =
+        LevenbergMarquardt::new().with_ftol(1e-10).with_xtol(1e-9).with_patience(10).minimize(problem);
     report.objective_function.is_finite().then(|| layout.unpack(&problem.parameters))
 }
 
@@ -280,7 +281,7 @@ fn sandwich(
     test: &ResidualTest,
 ) -> Option<DMatrix<f64>> {
     let (n, p) = (residual.len(), jacobian.ncols());
-    let bread = (jacobian.transpose() * jacobian).cholesky()?.inverse();
+    let bread = jacobian.tr_mul(jacobian).cholesky()?.inverse();
     let scores: Vec<DVector<f64>> = (0..n)
         .map(|i| {
             let e = residual[i] / sigma[i];

@@ -3,6 +3,7 @@
 pub mod circuit;
 pub mod figures;
 pub mod fit;
+pub mod friction;
 pub mod modes;
 pub mod read;
 pub mod sine;

@@ -126,6 +126,7 @@ fn strongest(sweep: &Sweep, current: &Fit, taken: &[f64]) -> Option<Mode> {
         2 * f.len(),
         current.residual_s.iter().zip(&current.sigma_s).flat_map(|(r, s)| [r.re / s, r.im / s]),
     );
+    let residual = &residual - &basis * basis.tr_mul(&residual);
     let (low, high) = sweep.range_hz();
     let candidates: Vec<(f64, f64)> = [3.0, 10.0, 30.0, 100.0, 300.0]
         .into_iter()
@@ -146,9 +147,8 @@ fn strongest(sweep: &Sweep, current: &Fit, taken: &[f64]) -> Option<Mode> {
                     [y.re, y.im]
                 }),
             );
-            let inside = basis.transpose() * &shape;
-            let power = shape.norm_squared() - inside.norm_squared();
-            let overlap = shape.dot(&residual) - inside.dot(&(basis.transpose() * &residual));
+            let power = shape.norm_squared() - basis.tr_mul(&shape).norm_squared();
+            let overlap = shape.dot(&residual);
             // A shape the circuit can already imitate says nothing; a negative capacitance is no mode.
             (power > 1e-6 * shape.norm_squared() && overlap > 0.0)
                 .then(|| (overlap * overlap / power, Mode { fs_hz, c_f: overlap / power, q }))
