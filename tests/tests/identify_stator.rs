@@ -10,6 +10,9 @@ use std::f64::consts::TAU;
 use twum_host::identify::read::{ReadOptions, read};
 use twum_host::identify::stator::{Options, Report, Verdict, identify};
 
+/// Seeds of each study.
+const SEEDS: u64 = 200;
+
 /// Elements of the circuit behind the data, computed here by themselves: L (H), C (F), R (Ω), Cd (F), Rd (Ω).
 #[derive(Clone, Copy)]
 struct Truth {
@@ -118,7 +121,7 @@ fn value(report: &Report, name: &str) -> Option<f64> {
 /// Coverage and worst error of each quantity over seeds, printed as one table beside the thesis's estimator.
 fn study(name: &str, truth: &Truth, make: impl Fn(u64) -> String + Sync, read_options: ReadOptions) -> Vec<Report> {
     let reports: Vec<Report> =
-        (0..200u64).into_par_iter().map(|seed| report(&make(seed), &read_options, &Options::default())).collect();
+        (0..SEEDS).into_par_iter().map(|seed| report(&make(seed), &read_options, &Options::default())).collect();
     println!("{name}: 200 seeds");
     println!("{:<8} {:>9} {:>12} {:>12} {:>14}", "", "coverage", "rms error", "worst", "thesis rms");
     for (field, truth) in truths(truth) {

@@ -3,6 +3,7 @@
 use super::sine;
 use super::sweep::{Point, Sweep, Waveform};
 use nalgebra::Complex;
+use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
@@ -289,13 +290,13 @@ fn from_waveforms(
     let shunt = options.shunt_ohm.ok_or_else(|| {
         file(path, "holds waveforms: give the shunt resistance with --shunt OHM (the thesis's was 2000)")
     })?;
-    let mut points = Vec::with_capacity(waveforms.len());
-    for (name, number, w) in &waveforms {
-        points.push(
+    let points = waveforms
+        .par_iter()
+        .map(|(name, number, w)| {
             point(w, shunt, options.shunt)
-                .map_err(|message| line(name, *number, format!("at {} Hz {message}", w.frequency_hz)))?,
-        );
-    }
+                .map_err(|message| line(name, *number, format!("at {} Hz {message}", w.frequency_hz)))
+        })
+        .collect::<Result<Vec<Point>, _>>()?;
     Ok(Sweep {
         source: path.display().to_string(),
         points,
@@ -310,8 +311,10 @@ fn from_waveforms(
 /// # Errors
 /// A sentence's end when the samples determine no sine or a channel is dead.
 pub fn point(w: &Waveform, shunt_ohm: f64, shunt: Shunt) -> Result<Point, String> {
+    let basis = sine::Basis::new(w.frequency_hz, &w.time_s);
     let fit = |name: &str, volt: &[f64]| {
-        sine::fit_at(w.frequency_hz, &w.time_s, volt).ok_or_else(|| {
+        let grid = sine::Grid::of(volt);
+        basis.as_ref().and_then(|b| grid.map_or_else(|| b.fit(volt), |g| b.fit_rounded(volt, g))).ok_or_else(|| {
             format!(
                 "channel `{name}`: {} samples over {:.3} periods determine no sine; record at least half a period",
                 volt.len(),
