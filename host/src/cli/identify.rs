@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::identify::{figures, read, stator};
+use twum_host::identify::{figures, friction, read, stator};
 
 /// Arguments of `twum identify`.
 #[derive(Debug, clap::Args)]
@@ -16,6 +16,29 @@ pub struct Args {
 enum What {
     /// The stator's equivalent circuit, from impedance, admittance, waveforms or a Touchstone file
     Stator(Stator),
+    /// Coulomb and static friction, from torque with, without and before sliding
+    Friction(Friction),
+}
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  twum identify friction bench/2024-12-13
+  twum identify friction bench/2024-12-13 --json --figure friction.svg
+
+The folder holds friction.toml (geometry) and the folders motor, no-motor and static with one file a trial,
+<speed>_rpm_<trial>.csv (column torque_nm) or .xlsx (column B). docs/identify.md lists the keys.")]
+struct Friction {
+    /// Folder with friction.toml and the three data sets
+    folder: PathBuf,
+    /// Go on without missing trials
+    #[arg(long)]
+    allow_missing: bool,
+    /// Write the coefficients over speed and the power spectrum here (.svg or .png)
+    #[arg(long, value_name = "FILE")]
+    figure: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -69,6 +92,7 @@ struct Stator {
 pub fn run(args: Args) -> Result<ExitCode> {
     match args.what {
         What::Stator(args) => run_stator(args),
+        What::Friction(args) => run_friction(args),
     }
 }
 
@@ -106,4 +130,17 @@ fn run_stator(args: Stator) -> Result<ExitCode> {
         print!("{}", found.report.text());
     }
     Ok(if found.report.verdict == stator::Verdict::NoResonance { ExitCode::from(1) } else { ExitCode::SUCCESS })
+}
+
+fn run_friction(args: Friction) -> Result<ExitCode> {
+    let found = friction::identify(&args.folder, args.allow_missing)?;
+    if let Some(path) = &args.figure {
+        figures::friction(&found).write(path).with_context(|| path.display().to_string())?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string(&found.report)?);
+    } else {
+        print!("{}", found.report.text());
+    }
+    Ok(ExitCode::SUCCESS)
 }

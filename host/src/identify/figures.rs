@@ -73,6 +73,31 @@ pub fn stator(sweep: &Sweep, found: &Identification) -> Figure {
         )
 }
 
+/// Coefficients over sliding speed with their intervals, and the torque's power spectrum with the cut-off.
+pub fn friction(found: &super::friction::Identification) -> Figure {
+    let report = &found.report;
+    let mut coefficients = Panel::new("sliding speed (mm/s)", "friction coefficient").title("Coefficients, 95 %");
+    for (name, overall) in [("Coulomb", &report.coulomb), ("static", &report.stat)] {
+        let points: Vec<(f64, f64)> =
+            overall.speeds.iter().map(|s| (1e3 * s.sliding_m_s, s.coefficient.value)).collect();
+        let band: Vec<(f64, f64, f64)> = overall
+            .speeds
+            .iter()
+            .filter_map(|s| s.coefficient.ci95.map(|[low, high]| (1e3 * s.sliding_m_s, low, high)))
+            .collect();
+        coefficients = coefficients.band(format!("{name}, 95 %"), &band).points(name, &points);
+    }
+    let spectrum: Vec<(f64, f64)> = found.spectrum.iter().skip(1).copied().collect();
+    Figure::new("Friction").size(1400, 560).columns(2).panel(coefficients).panel(
+        Panel::new("frequency (Hz)", "power density ((N m)^2/Hz)")
+            .title("Power spectrum of the motor trials")
+            .x_log()
+            .y_log()
+            .line("torque", &spectrum)
+            .marks("cut-off", &[report.cutoff_hz]),
+    )
+}
+
 fn name(source: &str) -> &str {
     std::path::Path::new(source).file_name().and_then(|n| n.to_str()).unwrap_or(source)
 }

@@ -172,14 +172,18 @@ fn mean_spectrum(trials: &[Trial], setup: &Setup) -> Vec<(f64, f64)> {
     mean
 }
 
+fn low_pass(trial: &Trial, setup: &Setup, cutoff_hz: f64) -> Result<Vec<f64>, FrictionError> {
+    filter::zero_phase_low_pass(&trial.torque_nm, setup.sample_hz, cutoff_hz).map_err(|e| trial.error(e.to_string()))
+}
+
 /// Mean torque of the sliding above rest (N·m), its ends left out.
 fn sliding_torque(trial: &Trial, setup: &Setup, set: Set, cutoff_hz: f64) -> Result<f64, FrictionError> {
-    let filtered = filter::zero_phase_low_pass(&trial.torque_nm, setup.sample_hz, cutoff_hz);
+    let filtered = low_pass(trial, setup, cutoff_hz)?;
     let motion = windows::motion(&filtered).ok_or_else(|| trial.error("too short to find the motion in"))?;
     let step = (motion.level_nm - motion.rest_nm).abs();
     if set == Set::Motor && step < 4.0 * motion.scatter_nm {
         return Err(trial.error(format!(
-            "no motion visible: the torque steps by {step:.2e} N m only, its scatter is {:.2e}",
+            "no motion visible: the torque steps by {step:.2e} N m only, its scatter is {:.2e}; a record begins at rest",
             motion.scatter_nm
         )));
     }
@@ -205,15 +209,17 @@ fn sliding_torque(trial: &Trial, setup: &Setup, set: Set, cutoff_hz: f64) -> Res
     Ok(window.iter().sum::<f64>() / window.len() as f64 - rest(&filtered, &motion))
 }
 
-/// Mean of the rest before a motion, the filter's reach before it left out.
-fn rest(filtered: &[f64], motion: &windows::Motion) -> f64 {
-    let quiet = &filtered[..motion.start - motion.start / 4];
-    if quiet.is_empty() { motion.rest_nm } else { quiet.iter().sum::<f64>() / quiet.len() as f64 }
+/// Torque at rest before a motion (N·m): what is left before the climb to it began.
+fn rest(torque: &[f64], motion: &windows::Motion) -> f64 {
+    let high = motion.rest_nm + 0.9 * (motion.level_nm - motion.rest_nm);
+    let climbing = |v: f64| (v - high) * (motion.level_nm - motion.rest_nm) < 0.0;
+    let end = (motion.start..motion.end).find(|&i| !climbing(torque[i])).unwrap_or(motion.end);
+    windows::rest(torque, end).map_or(motion.rest_nm, |r| r.0)
 }
 
 /// Greatest torque above rest before the motor slips (N·m).
 fn peak_torque(trial: &Trial, setup: &Setup, cutoff_hz: f64) -> Result<f64, FrictionError> {
-    let filtered = filter::zero_phase_low_pass(&trial.torque_nm, setup.sample_hz, cutoff_hz);
+    let filtered = low_pass(trial, setup, cutoff_hz)?;
     let motion = windows::motion(&filtered).ok_or_else(|| trial.error("too short to find the break-away in"))?;
     if (motion.level_nm - motion.rest_nm).abs() < 4.0 * motion.scatter_nm {
         return Err(trial.error(format!(
@@ -222,21 +228,21 @@ fn peak_torque(trial: &Trial, setup: &Setup, cutoff_hz: f64) -> Result<f64, Fric
             motion.scatter_nm
         )));
     }
-    let ramp = setup.duration_s(setup.static_travel_mm, trial.speed_rpm) * setup.sample_hz;
+    let ramp = (setup.duration_s(setup.static_travel_mm, trial.speed_rpm) * setup.sample_hz) as usize;
     // The cut lies half-way up the ramp; the thesis's window reaches 2.5 ramps past its alignment.
-    let end = ((motion.start as f64 + 2.5 * ramp) as usize).clamp(motion.start + 1, filtered.len());
+    let end = (motion.start + ramp * 5 / 2).clamp(motion.start + 1, filtered.len());
     let zero = rest(&filtered, &motion);
     let sign = (motion.level_nm - motion.rest_nm).signum();
-    let (at, peak) = filtered[motion.start..end]
-        .iter()
-        .map(|v| sign * (v - zero))
-        .enumerate()
-        .max_by(|a, b| a.1.total_cmp(&b.1))
+    let peak = (motion.start..end)
+        .max_by(|a, b| (sign * filtered[*a]).total_cmp(&(sign * filtered[*b])))
         .ok_or_else(|| trial.error("no sample after the break-away"))?;
-    if motion.start + at + 1 == filtered.len() {
+    if peak + 1 == filtered.len() {
         return Err(trial.error("the torque still rises when the record ends: record longer, or it never broke away"));
     }
-    Ok(sign * peak)
+    let reach = ramp / 4;
+    windows::corner(&trial.torque_nm, peak.saturating_sub(reach), (peak + reach).min(trial.torque_nm.len()))
+        .map(|corner| corner - zero)
+        .ok_or_else(|| trial.error("too few samples about the break-away"))
 }
 
 /// Every trial of a set must have the sign of friction; `needed` also refuses a whole set that is negative.

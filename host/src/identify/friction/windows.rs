@@ -3,6 +3,8 @@
 //! The record is cut where three constant levels (rest, motion, after) fit it best in the least-squares sense. That needs
 //! no threshold and no peak, and it measures how long the motion took, which the geometry must agree with.
 
+use nalgebra::{Matrix3, Vector3};
+
 /// Where the motion is, in samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
@@ -64,9 +66,85 @@ pub fn motion(torque_nm: &[f64]) -> Option<Motion> {
     })
 }
 
+/// The rest before a ramp: (level in N·m, its last sample), from the flat line and slope that fit best up to `end`.
+///
+/// The wire and the arm give, so the torque climbs for a while before the motor slides: a cut between constant levels lies
+/// half-way up that climb, and what is before it is not all rest.
+pub fn rest(torque_nm: &[f64], end: usize) -> Option<(f64, usize)> {
+    let (block, means) = blocks(&torque_nm[..end.min(torque_nm.len())]);
+    let fit = |knee: usize| broken_line(&means, knee);
+    let knee = (1..means.len().saturating_sub(2)).min_by(|a, b| fit(*a).1.total_cmp(&fit(*b).1))?;
+    Some((fit(knee).0, (knee + 1) * block))
+}
+
+/// The height of the corner where a climb breaks off, within `from..to`: two straight lines that meet, fitted to the
+/// unfiltered samples, because a filter rounds the corner down.
+pub fn corner(torque_nm: &[f64], from: usize, to: usize) -> Option<f64> {
+    let (_, means) = blocks(torque_nm.get(from..to)?);
+    let n = means.len();
+    (2..n.saturating_sub(2)).map(|knee| two_lines(&means, knee)).min_by(|a, b| a.1.total_cmp(&b.1)).map(|best| best.0)
+}
+
+fn blocks(torque_nm: &[f64]) -> (usize, Vec<f64>) {
+    let block = torque_nm.len().div_ceil(MOST_BLOCKS / 3).max(1);
+    (block, torque_nm.chunks(block).map(|c| c.iter().sum::<f64>() / c.len() as f64).collect())
+}
+
+/// Least squares of a + b·max(0, i − knee): (a, sum of squares).
+fn broken_line(y: &[f64], knee: usize) -> (f64, f64) {
+    let n = y.len() as f64;
+    let x = |i: usize| i.saturating_sub(knee) as f64;
+    let (mut sx, mut sxx, mut sy, mut sxy) = (0.0, 0.0, 0.0, 0.0);
+    for (i, v) in y.iter().enumerate() {
+        sx += x(i);
+        sxx += x(i) * x(i);
+        sy += v;
+        sxy += x(i) * v;
+    }
+    let b = (n * sxy - sx * sy) / (n * sxx - sx * sx);
+    let a = (sy - b * sx) / n;
+    (a, y.iter().enumerate().map(|(i, v)| (v - a - b * x(i)).powi(2)).sum())
+}
+
+/// Least squares of a + b·min(0, i − knee) + c·max(0, i − knee): (a, sum of squares).
+fn two_lines(y: &[f64], knee: usize) -> (f64, f64) {
+    let row = |i: usize| {
+        let x = i as f64 - knee as f64;
+        Vector3::new(1.0, x.min(0.0), x.max(0.0))
+    };
+    let mut normal = Matrix3::zeros();
+    let mut right = Vector3::zeros();
+    for (i, v) in y.iter().enumerate() {
+        normal += row(i) * row(i).transpose();
+        right += row(i) * *v;
+    }
+    let Some(beta) = normal.try_inverse().map(|inverse| inverse * right) else { return (f64::NAN, f64::INFINITY) };
+    (beta[0], y.iter().enumerate().map(|(i, v)| (v - row(i).dot(&beta)).powi(2)).sum())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_corner_and_the_rest_before_it_are_found() {
+        let torque: Vec<f64> = (0..20_000)
+            .map(|i| {
+                let t = f64::from(i) / 1000.0;
+                let shape = if t < 3.0 {
+                    0.0
+                } else if t < 9.0 {
+                    (t - 3.0) / 6.0
+                } else {
+                    1.0 - 0.05 * (t - 9.0)
+                };
+                0.01 + 0.03 * shape + 0.001 * (t * 997.0).sin()
+            })
+            .collect();
+        let (level, last) = rest(&torque, 9000).unwrap();
+        assert!((level - 0.01).abs() < 2e-4 && last.abs_diff(3000) < 150, "{level} {last}");
+        assert!((corner(&torque, 7500, 10_500).unwrap() - 0.04).abs() < 2e-4);
+    }
 
     #[test]
     fn a_step_up_and_down_is_found() {

@@ -1,0 +1,196 @@
+//! Friction from synthetic torque records with known coefficients, and the messages when something is wrong.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+use std::fmt::Write as _;
+use std::path::Path;
+use twum_host::identify::friction::{Report, identify};
+
+const SPEEDS: [u32; 7] = [100, 150, 200, 250, 300, 350, 400];
+/// Geometry of the thesis (section A.2.2), the Coulomb travel shortened.
+const TOML: &str =
+    "torque_arm_m = 0.2075\nattachment_radius_m = 0.015725\ncontact_radius_m = 0.013675\nweight_kg = 0.21083
+coulomb_travel_mm = 5.0\nstatic_travel_mm = 1.25\nlead_mm = 2.0\ngear_reduction = 29.0\n";
+
+struct Bench {
+    coulomb: f64,
+    stat: f64,
+    slope_s_m: f64,
+    sample_hz: f64,
+}
+
+const BENCH: Bench = Bench { coulomb: 0.1057, stat: 0.14, slope_s_m: 0.0, sample_hz: 250.0 };
+
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(rng)
+}
+
+/// Torque at the sensor a unit of friction coefficient, by the levers: µ·m·g·r_contact/r_attach·l.
+fn torque(mu: f64) -> f64 {
+    mu * 0.21083 * 9.80665 * 0.013675 / 0.015725 * 0.2075
+}
+
+/// One record: rest, a climb while wire and arm give, sliding, and slack afterwards; noise, mains hum and a zero offset.
+fn record(rng: &mut ChaCha8Rng, bench: &Bench, rpm: u32, peak: f64, level: f64, travel_mm: f64) -> String {
+    let speed = f64::from(rpm) / 60.0 / 29.0 * 2.0;
+    let (climb, total) = (0.6 / speed, travel_mm / speed);
+    let offset = 0.004 * normal(rng);
+    let mut out = String::from("time_s,torque_nm\n");
+    for i in 0..((3.0 + total + 2.0) * bench.sample_hz) as usize {
+        let t = i as f64 / bench.sample_hz;
+        let shape = match t - 3.0 {
+            s if s < 0.0 => 0.0,
+            s if s < climb => peak * s / climb,
+            s if s < total => level + (peak - level) * (-(s - climb) / 1.5).exp(),
+            _ => 0.0,
+        };
+        let hum = 0.001 * (2.0 * std::f64::consts::PI * 60.0 * t).sin();
+        let _ = writeln!(out, "{t:.4},{:.7}", -(shape + offset + hum + 0.0015 * normal(rng)));
+    }
+    out
+}
+
+fn write(folder: &Path, bench: &Bench, seed: u64) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    std::fs::write(folder.join("friction.toml"), format!("{TOML}sample_hz = {}\ntorque_sign = -1\n", bench.sample_hz))
+        .unwrap();
+    for set in ["motor", "no-motor", "static"] {
+        std::fs::create_dir(folder.join(set)).unwrap();
+    }
+    for rpm in SPEEDS {
+        let sliding = f64::from(rpm) / 60.0 / 29.0 * 2e-3 * 0.013675 / 0.015725;
+        for trial in 1..=5 {
+            let mu = bench.coulomb + bench.slope_s_m * sliding;
+            let idle = 0.003 * (1.0 + 0.05 * normal(&mut rng));
+            let with = torque(mu) * (1.0 + 0.03 * normal(&mut rng)) + 0.003 * (1.0 + 0.05 * normal(&mut rng));
+            let peak = torque(bench.stat) * (1.0 + 0.03 * normal(&mut rng));
+            for (set, text) in [
+                ("motor", record(&mut rng, bench, rpm, with, with, 5.0)),
+                ("no-motor", record(&mut rng, bench, rpm, idle, idle, 5.0)),
+                ("static", record(&mut rng, bench, rpm, peak, 0.85 * peak, 2.0)),
+            ] {
+                std::fs::write(folder.join(set).join(format!("{rpm}_rpm_{trial}.csv")), text).unwrap();
+            }
+        }
+    }
+}
+
+fn made(bench: &Bench, seed: u64) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), bench, seed);
+    folder
+}
+
+fn run(folder: &Path) -> Result<Report, String> {
+    identify(folder, false).map(|i| i.report).map_err(|e| e.to_string())
+}
+
+#[test]
+fn known_coefficients_lie_in_their_intervals() {
+    let folder = made(&Bench { sample_hz: 1000.0, ..BENCH }, 4);
+    let report = run(folder.path()).unwrap();
+    print!("{}", report.text());
+    for (overall, truth) in [(&report.coulomb, BENCH.coulomb), (&report.stat, BENCH.stat)] {
+        let [low, high] = overall.ci95.unwrap();
+        assert!(low < truth && truth < high, "{truth} outside {low} to {high}");
+        assert!(high - low < 0.05 * truth, "{low} to {high}");
+        assert_eq!(overall.speeds.len(), 7);
+        assert!(overall.speeds.iter().all(|s| s.trials == 5));
+    }
+}
+
+#[test]
+#[cfg_attr(debug_assertions, ignore = "statistics: run with --release")]
+fn intervals_cover_the_truth() {
+    let reports: Vec<Report> =
+        (0..100u64).into_par_iter().map(|seed| run(made(&BENCH, 1000 + seed).path()).unwrap()).collect();
+    let inside = |ci: Option<[f64; 2]>, truth: f64| ci.is_some_and(|[low, high]| low <= truth && truth <= high);
+    let coulomb = reports.iter().filter(|r| inside(r.coulomb.ci95, BENCH.coulomb)).count();
+    let stat = reports.iter().filter(|r| inside(r.stat.ci95, BENCH.stat)).count();
+    let each =
+        reports.iter().flat_map(|r| &r.coulomb.speeds).filter(|s| inside(s.coefficient.ci95, BENCH.coulomb)).count();
+    let trend = reports.iter().filter(|r| r.coulomb.slope_p.unwrap() < 0.05).count();
+    println!("of 100: Coulomb {coulomb}, static {stat}; of 700 speeds {each}; false trends {trend}");
+    assert!((90..=100).contains(&coulomb) && (90..=100).contains(&stat), "{coulomb} {stat}");
+    assert!((630..=693).contains(&each) && trend <= 11);
+}
+
+#[test]
+fn a_dependence_on_speed_is_reported() {
+    let folder = made(&Bench { slope_s_m: 120.0, ..BENCH }, 9);
+    let report = run(folder.path()).unwrap();
+    let [low, high] = report.coulomb.slope_s_m.unwrap().ci95.unwrap();
+    assert!(low > 0.0 && low < 120.0 && 120.0 < high, "{low} {high}");
+    assert!(report.notes.iter().any(|n| n.contains("Coulomb") && n.contains("speed")));
+    assert!(report.stat.slope_p.unwrap() > 0.05);
+}
+
+#[test]
+fn a_missing_trial_is_named() {
+    let folder = made(&BENCH, 1);
+    std::fs::remove_file(folder.path().join("motor/200_rpm_3.csv")).unwrap();
+    let message = run(folder.path()).unwrap_err();
+    assert!(message.contains("200_rpm_3") && message.contains("missing") && message.contains("5 trials"), "{message}");
+    let report = identify(folder.path(), true).unwrap().report;
+    assert_eq!(report.coulomb.speeds[2].trials, 4);
+}
+
+#[test]
+fn a_reversed_sign_is_named() {
+    let folder = made(&BENCH, 2);
+    let path = folder.path().join("motor/300_rpm_2.csv");
+    let turned: String = std::fs::read_to_string(&path)
+        .unwrap()
+        .lines()
+        .map(|l| match l.split_once(",-") {
+            Some((t, v)) => format!("{t},{v}\n"),
+            None => l
+                .split_once(',')
+                .filter(|c| c.1 != "torque_nm")
+                .map_or(format!("{l}\n"), |(t, v)| format!("{t},-{v}\n")),
+        })
+        .collect();
+    std::fs::write(&path, turned).unwrap();
+    let message = run(folder.path()).unwrap_err();
+    assert!(message.contains("300_rpm_2.csv") && message.contains("other sign"), "{message}");
+
+    let toml = folder.path().join("friction.toml");
+    std::fs::write(&toml, std::fs::read_to_string(&toml).unwrap().replace("torque_sign = -1", "torque_sign = 1"))
+        .unwrap();
+    let message = run(folder.path()).unwrap_err();
+    assert!(message.contains("torque_sign"), "{message}");
+}
+
+#[test]
+fn a_wrong_geometry_is_named() {
+    for (from, to, expected) in [
+        ("torque_arm_m = 0.2075", "torque_arm_m = 207.5", "millimetres"),
+        ("gear_reduction = 29.0", "gear_reduction = 58.0", "gear_reduction"),
+        ("lead_mm = 2.0", "lead_mm = 4.0", "lead_mm"),
+        ("weight_kg = 0.21083", "weight_kg = 0.0021083", "weight_kg"),
+        ("weight_kg = 0.21083", "weight_kg = -0.2", "weight_kg"),
+        ("lead_mm = 2.0", "led_mm = 2.0", "led_mm"),
+    ] {
+        let folder = made(&BENCH, 3);
+        let toml = folder.path().join("friction.toml");
+        std::fs::write(&toml, std::fs::read_to_string(&toml).unwrap().replace(from, to)).unwrap();
+        let message = run(folder.path()).unwrap_err();
+        assert!(message.contains(expected), "{to}: {message}");
+    }
+}
+
+#[test]
+fn a_bad_cell_is_named_by_line() {
+    let folder = made(&BENCH, 3);
+    let path = folder.path().join("static/100_rpm_1.csv");
+    let mut lines: Vec<String> = std::fs::read_to_string(&path).unwrap().lines().map(str::to_owned).collect();
+    lines[7] = "0.0240,oops".to_owned();
+    std::fs::write(&path, lines.join("\n")).unwrap();
+    let message = run(folder.path()).unwrap_err();
+    assert!(
+        message.contains("100_rpm_1.csv") && message.contains("line 8") && message.contains("torque_nm"),
+        "{message}"
+    );
+}
