@@ -128,6 +128,9 @@ pub fn run(
     let frequencies = plan.frequencies()?;
     let failed = |source| SweepError::File { path: path.to_owned(), source };
     let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).map_err(failed)?;
+    if !file.metadata().map_err(failed)?.is_file() {
+        return Err(SweepError::Plan(format!("{}: a sweep is written to an ordinary file", path.display())));
+    }
     let done = resume(plan, path, &mut file)?;
     let todo: Vec<f64> = frequencies.iter().copied().filter(|f| !done.contains(&label(*f))).collect();
     let total = frequencies.len();

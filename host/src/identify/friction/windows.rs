@@ -3,7 +3,7 @@
 //! The record is cut where three constant levels (rest, motion, after) fit it best in the least-squares sense. That needs
 //! no threshold and no peak, and it measures how long the motion took, which the geometry must agree with.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix4, Vector4};
 
 /// Where the motion is, in samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,12 +77,12 @@ pub fn rest(torque_nm: &[f64], end: usize) -> Option<(f64, usize)> {
     Some((fit(knee).0, (knee + 1) * block))
 }
 
-/// The height of the corner where a climb breaks off, within `from..to`: two straight lines that meet, fitted to the
+/// The height of the corner where a climb breaks off, within `from..to`: a straight climb and a fall that meet, fitted to the
 /// unfiltered samples, because a filter rounds the corner down.
 pub fn corner(torque_nm: &[f64], from: usize, to: usize) -> Option<f64> {
     let (_, means) = blocks(torque_nm.get(from..to)?);
     let n = means.len();
-    (2..n.saturating_sub(2)).map(|knee| two_lines(&means, knee)).min_by(|a, b| a.1.total_cmp(&b.1)).map(|best| best.0)
+    (3..n.saturating_sub(4)).map(|knee| two_lines(&means, knee)).min_by(|a, b| a.1.total_cmp(&b.1)).map(|best| best.0)
 }
 
 fn blocks(torque_nm: &[f64]) -> (usize, Vec<f64>) {
@@ -106,14 +106,15 @@ fn broken_line(y: &[f64], knee: usize) -> (f64, f64) {
     (a, y.iter().enumerate().map(|(i, v)| (v - a - b * x(i)).powi(2)).sum())
 }
 
-/// Least squares of a + b·min(0, i − knee) + c·max(0, i − knee): (a, sum of squares).
+/// Least squares of a + b·min(0, x) + c·max(0, x) + d·max(0, x)², x = i − knee: (a, sum of squares). Slipping decays, so the
+/// fall is allowed to bend.
 fn two_lines(y: &[f64], knee: usize) -> (f64, f64) {
     let row = |i: usize| {
         let x = i as f64 - knee as f64;
-        Vector3::new(1.0, x.min(0.0), x.max(0.0))
+        Vector4::new(1.0, x.min(0.0), x.max(0.0), x.max(0.0).powi(2))
     };
-    let mut normal = Matrix3::zeros();
-    let mut right = Vector3::zeros();
+    let mut normal = Matrix4::zeros();
+    let mut right = Vector4::zeros();
     for (i, v) in y.iter().enumerate() {
         normal += row(i) * row(i).transpose();
         right += row(i) * *v;
