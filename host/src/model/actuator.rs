@@ -1,0 +1,116 @@
+//! From duty to supply: the PWM pin and what the driver makes of it.
+//!
+//! The off part of a period comes first (the pin is active low and starts high). A new duty takes effect at the next period, a
+//! new direction at once.
+
+use super::effects::EffectSet;
+use super::plant::{Direction, Drive, Plant, Segment};
+
+/// A command to the motor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Command {
+    /// When (s).
+    pub time_s: f64,
+    /// Fraction of the PWM period with the drive on, 0 to 1.
+    pub duty: f64,
+    /// Sense of rotation.
+    pub direction: Direction,
+}
+
+/// The PWM generator in front of a plant, with the effects of the actuator path.
+#[derive(Debug, Clone)]
+pub struct Pwm {
+    period_s: f64,
+    /// A time at which a period starts (s).
+    phase_s: f64,
+    effects: EffectSet,
+    /// Commanded duty, the duty of the running period, and the direction.
+    commanded: f64,
+    running: f64,
+    direction: Direction,
+    /// Index of the running period.
+    index: i64,
+    /// When the pin last went on; the supply follows `start-delay` later (s).
+    rose_s: f64,
+    was_on: bool,
+}
+
+impl Pwm {
+    /// A generator at `pwm_hz` whose periods start at `phase_s` and every period before and after.
+    pub fn new(pwm_hz: f64, phase_s: f64, effects: &EffectSet) -> Self {
+        let period_s = 1.0 / pwm_hz;
+        Pwm {
+            period_s,
+            phase_s,
+            effects: *effects,
+            commanded: 0.0,
+            running: 0.0,
+            direction: Direction::Cw,
+            index: (-phase_s / period_s).floor() as i64,
+            rose_s: f64::NEG_INFINITY,
+            was_on: false,
+        }
+    }
+
+    /// Sets the duty from the next period on, and the direction from now on.
+    pub fn command(&mut self, duty: f64, direction: Direction) {
+        self.commanded = duty;
+        self.direction = direction;
+    }
+
+    /// Sets the duty of the running period too: how a run begins.
+    pub fn begin(&mut self, duty: f64, direction: Direction) {
+        self.command(duty, direction);
+        self.running = self.commanded;
+    }
+
+    /// The duty the driver works with: quantised, less the dead zone.
+    fn effective(&self, duty: f64) -> f64 {
+        let mut u = duty.clamp(0.0, 1.0);
+        if let Some(e) = self.effects.duty_quantisation {
+            if e.step > 0.0 {
+                u = ((u / e.step).round() * e.step).min(1.0);
+            }
+        }
+        if let Some(e) = self.effects.dead_zone {
+            u = (u - e.threshold_duty).max(0.0);
+        }
+        u
+    }
+
+    /// Drives `plant` to `until_s`.
+    pub fn advance(&mut self, plant: &mut impl Plant, until_s: f64, observe: &mut dyn FnMut(&Segment)) {
+        let delay = self.effects.start_delay.map_or(0.0, |e| e.delay_s);
+        while plant.time_s() < until_s {
+            let now = plant.time_s();
+            let mut start = self.phase_s + self.index as f64 * self.period_s;
+            let mut end = start + self.period_s;
+            while now >= end - 1e-12 {
+                self.index += 1;
+                self.running = self.commanded;
+                start = self.phase_s + self.index as f64 * self.period_s;
+                end = start + self.period_s;
+            }
+            let duty = self.effective(self.running);
+            let rise = if duty > 0.0 { start + (1.0 - duty) * self.period_s } else { f64::INFINITY };
+            let on = now >= rise - 1e-12;
+            if on && !self.was_on {
+                self.rose_s = now;
+            }
+            self.was_on = on;
+            let mut next = until_s.min(end);
+            let mut level = 0.0;
+            if on {
+                let supplied = self.rose_s + delay;
+                if now >= supplied - 1e-12 {
+                    level = 1.0;
+                } else {
+                    next = next.min(supplied);
+                }
+            } else {
+                next = next.min(rise);
+            }
+            plant.advance(next, Drive { level, direction: self.direction, duty: self.running }, observe);
+        }
+    }
+}

@@ -1,0 +1,262 @@
+//! A travelling-wave motor behind the plant seam: either model, with the effects that live in the motor.
+
+use super::averaged::Averaged;
+use super::carrier::Carrier;
+use super::effects::EffectSet;
+use super::modulation::Modulation;
+use super::parameters::{Flavour, Parameters};
+use super::plant::{Drive, Plant, Segment};
+use std::f64::consts::PI;
+
+/// Which model integrates the motor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Solver {
+    /// [`Averaged`].
+    Averaged,
+    /// [`Carrier`].
+    Carrier,
+}
+
+/// What a motor remembers from one run to the next.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct History {
+    /// Warmth, 0 cold to 1 fully warm under continuous drive; see `resonance-heating`.
+    pub warmth: f64,
+    /// Revolutions made, either way; see `run-in-wear`.
+    pub revolutions: f64,
+}
+
+/// A pause of the drive longer than this makes the driver search its frequency anew (s); see `frequency-settling`.
+const RESTART_S: f64 = 0.1;
+/// Longest step while an effect changes the motor (s); an angle-dependent one sees 0.2° at full speed.
+const LONGEST_S: f64 = 1e-3;
+
+#[derive(Debug, Clone)]
+enum Model {
+    Averaged(Box<Averaged>),
+    Carrier(Box<Carrier>, f64),
+}
+
+/// A motor and its plant effects.
+#[derive(Debug, Clone)]
+pub struct MotorPlant {
+    model: Model,
+    effects: EffectSet,
+    history: History,
+    /// Supply current as a share of the full one; see `supply-sag`.
+    current: f64,
+    /// When the drive began, and when it was last on (s).
+    began_s: f64,
+    last_on_s: f64,
+    /// Longest step (s): infinite where no effect needs one.
+    longest_s: f64,
+    /// Whether any effect of the plant is present.
+    changes: bool,
+}
+
+impl MotorPlant {
+    /// A motor at rest.
+    pub fn new(parameters: Parameters, flavour: Flavour, solver: Solver, effects: &EffectSet, history: History) -> Self {
+        let moving = effects.resonance_heating.is_some()
+            || effects.frequency_settling.is_some()
+            || effects.preload_runout.is_some()
+            || effects.gravity_load.is_some()
+            || effects.supply_sag.is_some()
+            || effects.run_in_wear.is_some();
+        let fixed = effects.off_phase_braking.is_some()
+            || effects.high_duty_saturation.is_some()
+            || effects.contact_stiffening.is_some()
+            || effects.direction_asymmetry.is_some()
+            || effects.stribeck_friction.is_some()
+            || effects.presliding.is_some();
+        MotorPlant {
+            model: match solver {
+                Solver::Averaged => Model::Averaged(Box::new(Averaged::new(parameters, flavour))),
+                Solver::Carrier => Model::Carrier(Box::new(Carrier::new(parameters, flavour)), 0.0),
+            },
+            effects: *effects,
+            history,
+            current: 0.0,
+            began_s: 0.0,
+            last_on_s: f64::NEG_INFINITY,
+            longest_s: if moving { LONGEST_S } else { f64::INFINITY },
+            changes: moving || fixed,
+        }
+    }
+
+    /// What the motor will remember.
+    pub fn history(&self) -> History {
+        self.history
+    }
+
+    /// Amplitude of the wave (m).
+    pub fn amplitude_m(&self) -> f64 {
+        match &self.model {
+            Model::Averaged(model) => model.amplitude_m(),
+            Model::Carrier(model, _) => model.amplitude_m(),
+        }
+    }
+
+    /// Height of the rotor (m).
+    pub fn height_m(&self) -> f64 {
+        match &self.model {
+            Model::Averaged(model) => model.height_m(),
+            Model::Carrier(model, _) => model.state()[4],
+        }
+    }
+
+    /// Steps taken.
+    pub fn steps(&self) -> u64 {
+        match &self.model {
+            Model::Averaged(model) => model.steps(),
+            Model::Carrier(model, _) => model.steps(),
+        }
+    }
+
+    fn modulation(&self, drive: Drive) -> Modulation {
+        let e = &self.effects;
+        let (time, angle, speed) = (self.time_s(), self.position_rad(), self.speed_rad_s());
+        let _ = speed;
+        let sense = drive.direction.sign();
+        let mut m = Modulation::NONE;
+        if let Some(e) = e.resonance_heating {
+            m.resonance_shift_hz -= e.shift_hz * self.history.warmth;
+        }
+        if let Some(e) = e.frequency_settling {
+            m.drive_shift_hz += e.detuning_hz * (-(time - self.began_s).max(0.0) / e.tau_s).exp();
+        }
+        if let Some(e) = e.off_phase_braking {
+            m.off_brake_nm += e.torque_nm;
+        }
+        if let Some(e) = e.high_duty_saturation {
+            m.voltage /= 1.0 + drive.duty * e.inverse_us;
+        }
+        if let Some(e) = e.contact_stiffening {
+            m.contact_exponent = e.exponent;
+        }
+        if let Some(e) = e.direction_asymmetry {
+            m.voltage *= 1.0 + sense * e.gain;
+            m.friction *= 1.0 + sense * e.friction;
+        }
+        if let Some(e) = e.preload_runout {
+            m.preload *= 1.0 + e.amplitude * (angle - e.phase_rad).cos();
+        }
+        if let Some(e) = e.stribeck_friction {
+            m.stribeck_nm = e.torque_nm;
+            m.stribeck_rad_s = e.speed_rad_s;
+        }
+        if let Some(e) = e.presliding {
+            if e.compliance_rad_nm > 0.0 {
+                m.bristle_nm_rad = 1.0 / e.compliance_rad_nm;
+                m.bristle_nms_rad = e.damping_nms;
+            }
+        }
+        if let Some(e) = e.gravity_load {
+            m.load_nm += e.torque_nm * (angle + e.phase_rad).sin();
+        }
+        if let Some(e) = e.supply_sag {
+            m.voltage *= 1.0 - e.sag * self.current;
+        }
+        if let Some(e) = e.run_in_wear {
+            m.voltage *= (1.0 + e.gain * (self.history.revolutions / e.revolutions).ln_1p()).max(0.0);
+        }
+        m
+    }
+
+    fn remember(&mut self, segment: &Segment, drive: Drive) {
+        let h = segment.end_s - segment.start_s;
+        self.history.revolutions += (segment.end_rad - segment.start_rad).abs() / (2.0 * PI);
+        if let Some(e) = self.effects.resonance_heating {
+            self.history.warmth = drive.level + (self.history.warmth - drive.level) * (-h / e.tau_s).exp();
+        }
+        if let Some(e) = self.effects.supply_sag {
+            self.current = drive.level + (self.current - drive.level) * (-h / e.tau_s).exp();
+        }
+        if drive.level > 0.0 {
+            self.last_on_s = segment.end_s;
+        }
+    }
+}
+
+impl Plant for MotorPlant {
+    fn time_s(&self) -> f64 {
+        match &self.model {
+            Model::Averaged(model) => model.time_s(),
+            Model::Carrier(_, time) => *time,
+        }
+    }
+
+    fn position_rad(&self) -> f64 {
+        match &self.model {
+            Model::Averaged(model) => model.position_rad(),
+            Model::Carrier(model, _) => model.state()[6],
+        }
+    }
+
+    fn speed_rad_s(&self) -> f64 {
+        match &self.model {
+            Model::Averaged(model) => model.speed_rad_s(),
+            Model::Carrier(model, _) => model.state()[7],
+        }
+    }
+
+    fn advance(&mut self, until_s: f64, drive: Drive, observe: &mut dyn FnMut(&Segment)) {
+        if drive.level > 0.0 && self.time_s() - self.last_on_s > RESTART_S {
+            self.began_s = self.time_s();
+        }
+        loop {
+            let modulation = if self.changes { self.modulation(drive) } else { Modulation::NONE };
+            let longest = self.longest_s;
+            let mut last = None;
+            let mut watch = |segment: &Segment| {
+                observe(segment);
+                last = Some(*segment);
+            };
+            let arrived = match &mut self.model {
+                Model::Averaged(model) => {
+                    if self.changes {
+                        model.modulate(&modulation);
+                    }
+                    model.step(until_s, drive, longest, &mut watch)
+                }
+                Model::Carrier(model, time) => {
+                    if self.changes {
+                        model.modulate(&modulation);
+                    }
+                    carrier_step(model, time, until_s, drive, longest, &modulation, &mut watch)
+                }
+            };
+            if let Some(segment) = last {
+                self.remember(&segment, drive);
+            }
+            if arrived {
+                return;
+            }
+        }
+    }
+}
+
+/// A stretch of carrier steps short enough for a cubic between its ends.
+fn carrier_step(
+    model: &mut Carrier,
+    time: &mut f64,
+    until_s: f64,
+    drive: Drive,
+    longest: f64,
+    modulation: &Modulation,
+    observe: &mut dyn FnMut(&Segment),
+) -> bool {
+    const STRETCH_S: f64 = 5e-5;
+    let left = until_s - *time;
+    if left <= 0.0 {
+        return true;
+    }
+    let h = left.min(STRETCH_S).min(longest);
+    let (start_s, start_rad, start_rad_s) = (*time, model.state()[6], model.state()[7]);
+    model.run(h, drive, modulation);
+    *time = if h >= left { until_s } else { start_s + h };
+    let end = model.state();
+    observe(&Segment { start_s, end_s: *time, start_rad, end_rad: end[6], start_rad_s, end_rad_s: end[7] });
+    h >= left
+}
