@@ -36,9 +36,10 @@ pub struct Pwm {
 }
 
 impl Pwm {
-    /// A generator at `pwm_hz` whose periods start at `phase_s` and every period before and after.
-    pub fn new(pwm_hz: f64, phase_s: f64, effects: &EffectSet) -> Self {
+    /// A generator at `pwm_hz`, `pwm_phase_s` into a period at time 0.
+    pub fn new(pwm_hz: f64, pwm_phase_s: f64, effects: &EffectSet) -> Self {
         let period_s = 1.0 / pwm_hz;
+        let phase_s = -pwm_phase_s;
         Pwm {
             period_s,
             phase_s,

@@ -309,15 +309,7 @@ impl Averaged {
             Flavour::Thesis => c.friction,
             Flavour::Physical => c.friction + (c.off_friction - c.friction) * closed,
         };
-        Pressed {
-            phi,
-            zeta,
-            beta,
-            work: phi + sin * cos - 2.0 * zeta * sin,
-            friction,
-            share,
-            gone: closed,
-        }
+        Pressed { phi, zeta, beta, work: phi + sin * cos - 2.0 * zeta * sin, friction, share, gone: closed }
     }
 
     /// G1 and G2 of the tangential feedback (section A.5.4).
@@ -368,7 +360,7 @@ impl Averaged {
     /// One step of at most `longest` seconds; returns the seconds taken.
     fn take(&mut self, longest: f64, drive: Drive) -> f64 {
         let c = self.coefficients;
-        let forced = usize::from(drive.direction.sign() < 0.0);
+        let forced = usize::from(drive.sign() < 0.0);
         let source = [0, 1].map(|i| if i == forced { drive.level * c.source } else { 0.0 });
         let gone = self.gone_m();
         for i in 0..2 {
@@ -448,14 +440,15 @@ impl Averaged {
         let sense = if cw > ccw || (cw == ccw && source[1] == 0.0) { 1.0 } else { -1.0 };
         let pressed = self.press(amplitude);
         let purity = if ccw == 0.0 || cw == 0.0 { 1.0 } else { (cw - ccw).abs() / (cw + ccw) };
-        let crest = match self.flavour {
-            Flavour::Thesis => c.rotor_per_crest * amplitude.max(c.wmin),
+        let (crest, creep) = match self.flavour {
+            Flavour::Thesis => (c.rotor_per_crest * amplitude.max(c.wmin), 1.0),
             Flavour::Physical => {
-                (c.rotor_per_crest * purity * (amplitude * c.omega + turning)).max(CREEP_RAD_S)
+                let crest = c.rotor_per_crest * purity * (amplitude * c.omega + turning);
+                (crest.max(CREEP_RAD_S), (crest / CREEP_RAD_S).clamp(0.0, 1.0))
             }
         };
         let (g1, g2) = self.feedback(&pressed, sense * self.speed_rad_s / crest);
-        let drag = pressed.friction * c.tangential;
+        let drag = pressed.friction * c.tangential * creep;
         let mut field = Field {
             pressed,
             sense,

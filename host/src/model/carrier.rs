@@ -5,9 +5,9 @@
 //! vector they lack is η·V + FN + FT on each mode, Fint − Fext on the height and Tint − Tload on the angle.
 
 use super::contact::Contact;
+use super::modulation::Modulation;
 use super::parameters::{Flavour, Parameters};
 use super::plant::Drive;
-use super::modulation::Modulation;
 use std::f64::consts::PI;
 
 /// The step the anchors and the documentation use (s).
@@ -105,7 +105,8 @@ impl Carrier {
         let mut state = [0.0; 8];
         if flavour == Flavour::Physical {
             // Without a wave the contact is a spring of stiffness 2π·R0·Cn.
-            state[4] = -parameters.preload_n / (2.0 * PI * parameters.contact_radius_m * parameters.contact_stiffness_n_m2);
+            state[4] =
+                -parameters.preload_n / (2.0 * PI * parameters.contact_radius_m * parameters.contact_stiffness_n_m2);
         }
         Carrier {
             coefficients: Coefficients::new(&parameters, &Modulation::NONE),
@@ -155,7 +156,7 @@ impl Carrier {
         if duration_s <= 0.0 {
             return;
         }
-        self.direction = drive.direction.sign();
+        self.direction = drive.sign();
         let count = (duration_s / self.step_s * (1.0 - 1e-9)).ceil().max(1.0);
         let h = duration_s / count;
         let omega = self.parameters.omega() + 2.0 * PI * modulation.drive_shift_hz;
@@ -212,7 +213,7 @@ impl Carrier {
             * (0.5 * (phi + sin * cos) - 2.0 * zeta * sin + zeta * zeta * phi);
         let volts = drive.level * p.vmax();
         let (s, c) = self.phase.sin_cos();
-        let input = p.force_factor_n_v * volts * (c * v1 + drive.direction.sign() * s * v2);
+        let input = p.force_factor_n_v * volts * (c * v1 + drive.sign() * s * v2);
         let share = slip(&self.coefficients, w1, w2, v1, v2, phi, zeta, speed, amplitude);
         Ledger {
             stored_j: 0.5 * p.modal_mass_kg * (v1 * v1 + v2 * v2)
@@ -319,7 +320,8 @@ fn thesis(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
         zd,
         (force - c.vertical_damping * zd) * c.rotor_mass_inv,
         speed,
-        (torque - c.rotational_damping * speed - c.load - braking(c, speed, 1.0 - travelling / amplitude)) * c.inertia_inv,
+        (torque - c.rotational_damping * speed - c.load - braking(c, speed, 1.0 - travelling / amplitude))
+            * c.inertia_inv,
     ]
 }
 
@@ -349,7 +351,9 @@ fn physical(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
 
     let friction = friction_of(c, phi);
     let normal = -c.normal * work_x;
-    let tangential = sense * friction * c.tangential * (2.0 * work_s - work_x);
+    // A surface that hardly moves is not rubbed at full strength, or a vanishing wave would be rubbed infinitely hard.
+    let creep = (crest.abs() * (1.0 / CREEP_RAD_S)).min(1.0);
+    let tangential = sense * creep * friction * c.tangential * (2.0 * work_s - work_x);
     let force = c.force * amplitude * beta_x - c.preload;
     let torque = sense * friction * c.force * amplitude * c.radius * (2.0 * beta_s - beta_x);
     [

@@ -363,7 +363,11 @@ mod tests {
         for info in CATALOGUE {
             assert_eq!(info.parameters[0].kind, Kind::Linear, "{}: the size comes first", info.name);
             for p in info.parameters {
-                assert!((p.lower..=p.upper).contains(&p.absent) && (p.lower..=p.upper).contains(&p.typical), "{}", p.name);
+                assert!(
+                    (p.lower..=p.upper).contains(&p.absent) && (p.lower..=p.upper).contains(&p.typical),
+                    "{}",
+                    p.name
+                );
             }
         }
     }

@@ -62,7 +62,7 @@ impl InertialPlant {
     /// Driving torque, load and friction limit (N·m).
     fn torques(&self, drive: Drive) -> (f64, f64, f64) {
         let (e, p) = (&self.effects, &self.parameters);
-        let sense = drive.direction.sign();
+        let sense = drive.sign();
         let mut torque = p.gain_nm * drive.level * sense;
         let mut load = 0.0;
         let mut limit = p.coulomb_nm;
@@ -133,7 +133,11 @@ impl Plant for InertialPlant {
                 };
                 if v0 != 0.0 && acceleration * sense < 0.0 {
                     let y = v0 * rate / acceleration;
-                    let stop = if rate * v0.abs() < 1e-9 * acceleration.abs() { -v0 / acceleration } else { -y.ln_1p() / rate };
+                    let stop = if rate * v0.abs() < 1e-9 * acceleration.abs() {
+                        -v0 / acceleration
+                    } else {
+                        -y.ln_1p() / rate
+                    };
                     if stop.is_finite() && stop < h {
                         h = stop.max(1e-12);
                         end = (0.0, travel(h).1);

@@ -142,7 +142,11 @@ impl Reader<'_> {
         for key in table.keys() {
             if !known.contains(&key.get_ref().as_ref()) {
                 let name = format!("{prefix}{}", key.get_ref());
-                return Err(self.key(name, key.span().start, format!("is not a key here; the keys are {}", known.join(", "))));
+                return Err(self.key(
+                    name,
+                    key.span().start,
+                    format!("is not a key here; the keys are {}", known.join(", ")),
+                ));
             }
         }
         Ok(())
@@ -154,9 +158,7 @@ impl Reader<'_> {
             return Err(self.key(key, at, "must be a table with value, unit, meaning and source"));
         };
         self.known(&format!("{key}."), table, &["value", "unit", "meaning", "source", "uncertainty"])?;
-        let need = |name: &str| {
-            table.get(name).ok_or_else(|| self.key(format!("{key}.{name}"), at, "is missing"))
-        };
+        let need = |name: &str| table.get(name).ok_or_else(|| self.key(format!("{key}.{name}"), at, "is missing"));
         let entry = Entry {
             value: self.number(&format!("{key}.value"), need("value")?)?,
             unit: self.string(&format!("{key}.unit"), need("unit")?)?,
@@ -200,7 +202,10 @@ impl Reader<'_> {
         let corrected = match table.get("physical") {
             None => None,
             Some(value) => Some(
-                value.get_ref().as_table().ok_or_else(|| self.key("physical", value.span().start, "must be a table"))?,
+                value
+                    .get_ref()
+                    .as_table()
+                    .ok_or_else(|| self.key("physical", value.span().start, "must be a table"))?,
             ),
         };
         if let Some(corrected) = corrected {
@@ -245,7 +250,8 @@ impl Reader<'_> {
             let stated = self.number("lambda", value)?;
             let computed = motor.assemble(Flavour::Thesis).wavelength_m();
             if (stated / computed - 1.0).abs() > 1e-3 {
-                let problem = format!("is {stated} m, but 2π·R0/n of this file is {computed:.6} m; one of the three is wrong");
+                let problem =
+                    format!("is {stated} m, but 2π·R0/n of this file is {computed:.6} m; one of the three is wrong");
                 return Err(self.key("lambda", value.span().start, problem));
             }
         }

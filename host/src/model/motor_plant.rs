@@ -57,7 +57,13 @@ pub struct MotorPlant {
 
 impl MotorPlant {
     /// A motor at rest.
-    pub fn new(parameters: Parameters, flavour: Flavour, solver: Solver, effects: &EffectSet, history: History) -> Self {
+    pub fn new(
+        parameters: Parameters,
+        flavour: Flavour,
+        solver: Solver,
+        effects: &EffectSet,
+        history: History,
+    ) -> Self {
         let moving = effects.resonance_heating.is_some()
             || effects.frequency_settling.is_some()
             || effects.preload_runout.is_some()
@@ -118,7 +124,7 @@ impl MotorPlant {
         let e = &self.effects;
         let (time, angle, speed) = (self.time_s(), self.position_rad(), self.speed_rad_s());
         let _ = speed;
-        let sense = drive.direction.sign();
+        let sense = drive.sign();
         let mut m = Modulation::NONE;
         if let Some(e) = e.resonance_heating {
             m.resonance_shift_hz -= e.shift_hz * self.history.warmth;

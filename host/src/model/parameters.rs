@@ -152,7 +152,9 @@ pub enum ParameterError {
         argument: String,
     },
     /// The stator's resonance and the drive are so far apart that the two-mode model says nothing.
-    #[error("`f = {drive_hz} Hz` is not within a factor of 2 of the stator's resonance sqrt(Ks/Ms)/2π = {resonance_hz:.0} Hz")]
+    #[error(
+        "`f = {drive_hz} Hz` is not within a factor of 2 of the stator's resonance sqrt(Ks/Ms)/2π = {resonance_hz:.0} Hz"
+    )]
     FarFromResonance {
         /// The drive frequency.
         drive_hz: f64,

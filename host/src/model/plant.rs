@@ -1,24 +1,6 @@
 //! The seam between whatever turns and whatever drives it.
 
-/// Sense of rotation; clockwise is the direction pin high, and positive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Direction {
-    /// Positive angles.
-    #[default]
-    Cw,
-    /// Negative angles.
-    Ccw,
-}
-
-impl Direction {
-    /// +1 or −1.
-    pub fn sign(self) -> f64 {
-        match self {
-            Direction::Cw => 1.0,
-            Direction::Ccw => -1.0,
-        }
-    }
-}
+pub use twum_shared::duty::Direction;
 
 /// What drives the plant over an interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,6 +14,11 @@ pub struct Drive {
 }
 
 impl Drive {
+    /// +1 for clockwise, −1 for counter-clockwise.
+    pub fn sign(&self) -> f64 {
+        f64::from(self.direction.sign())
+    }
+
     /// Full drive, clockwise.
     pub const ON: Drive = Drive { level: 1.0, direction: Direction::Cw, duty: 1.0 };
     /// No drive.

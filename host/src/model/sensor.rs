@@ -113,7 +113,8 @@ impl Encoder {
         let mut from_s = from_s;
         while self.interval != target {
             let at = self.edge_rad(if sense > 0 { self.interval + 1 } else { self.interval });
-            let time_s = crossing(segment, from_s, to_s, |s, t| self.apparent(self.shaft_after(s.position_rad(t))) - at);
+            let time_s =
+                crossing(segment, from_s, to_s, |s, t| self.apparent(self.shaft_after(s.position_rad(t))) - at);
             self.interval += sense;
             from_s = time_s;
             edge(Edge { time_s, level: self.level(), sense: sense as i8 });

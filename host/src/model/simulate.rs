@@ -15,7 +15,7 @@ pub struct Program {
     pub commands: Vec<Command>,
     /// PWM frequency (Hz).
     pub pwm_hz: f64,
-    /// A time at which a PWM period starts (s).
+    /// Time from the start of a PWM period to t = 0 (s).
     pub pwm_phase_s: f64,
     /// End of the run (s).
     pub end_s: f64,
@@ -115,4 +115,42 @@ fn drive(program: &Program, plant: &mut impl Plant, effects: &EffectSet, trace: 
     }
     trace.end_rad = plant.position_rad();
     trace.end_s = record(edges, program.end_s, effects);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::motor::Motor;
+
+    fn averaged(flavour: Flavour) -> PlantModel {
+        let parameters = Motor::pcbmotor_30mm().parameters(flavour);
+        PlantModel::Motor { parameters, flavour, solver: Solver::Averaged }
+    }
+
+    #[test]
+    fn the_two_directions_mirror_each_other() {
+        for flavour in [Flavour::Thesis, Flavour::Physical] {
+            let [cw, ccw] = [Direction::Cw, Direction::Ccw].map(|direction| {
+                let program = Program::constant(0.5, direction, 0.5, 0.6);
+                simulate(&program, &averaged(flavour), &EffectSet::default(), History::default()).end_rad
+            });
+            assert!(cw > 0.5 && (cw + ccw).abs() < 1e-9 * cw, "{flavour}: {cw} and {ccw}");
+        }
+    }
+
+    #[test]
+    fn the_same_run_gives_the_same_edges() {
+        let program = Program::constant(0.4, Direction::Cw, 0.4, 0.5);
+        let run = || simulate(&program, &averaged(Flavour::Physical), &EffectSet::default(), History::default());
+        assert_eq!(run(), run());
+    }
+
+    #[test]
+    fn edges_lie_a_pitch_apart_on_the_rotor() {
+        let program = Program::constant(1.0, Direction::Cw, 0.5, 0.5);
+        let trace = simulate(&program, &averaged(Flavour::Physical), &EffectSet::default(), History::default());
+        let speed = 2.0 * std::f64::consts::PI / 400.0 / (trace.edges[20].time_s - trace.edges[19].time_s);
+        let mean = (trace.edges[25].time_s - trace.edges[15].time_s) / 10.0;
+        assert!((speed * mean * 400.0 / (2.0 * std::f64::consts::PI) - 1.0).abs() < 1e-3);
+    }
 }
