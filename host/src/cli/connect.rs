@@ -117,8 +117,8 @@ impl RecordArgs {
             );
         } else {
             println!(
-                "frames: {} received, {} lost, {} bad; longest gap {} frames; {} restarts",
-                tally.received, tally.lost, tally.bad, tally.longest_gap, tally.restarts
+                "frames: {} received, {} lost, {} bad; longest gap {} frames; {} restarts, {} reconnects",
+                tally.received, tally.lost, tally.bad, tally.longest_gap, tally.restarts, tally.reconnects
             );
             if let Some(path) = &self.out {
                 println!("recorded {} frames in {}", outcome.recorded, path.display());

@@ -34,7 +34,7 @@ pub trait Port {
     /// [`LinkError::Lost`] when the port is gone.
     fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError>;
 
-    /// Time since the port was opened: this computer's, or virtual.
+    /// Time of the link: this computer's, or virtual. It goes on when a lost port is opened again.
     fn elapsed(&self) -> Duration;
 
     /// Whether [`Port::elapsed`] is virtual.

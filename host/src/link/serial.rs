@@ -1,6 +1,7 @@
 use super::{LinkError, Port};
 use serialport::SerialPort;
 use std::io::{ErrorKind, Read, Write};
+use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 /// Baud rate of the link.
@@ -10,8 +11,10 @@ pub const BAUD: u32 = 921_600;
 pub struct SerialLink {
     name: String,
     port: Box<dyn SerialPort>,
-    opened: Instant,
 }
+
+/// When the first port was opened: time goes on across a cable that is pulled and plugged in again.
+static FIRST_OPENED: OnceLock<Instant> = OnceLock::new();
 
 impl SerialLink {
     /// Opens a port, with both control lines released: either one can hold an ESP32 in reset or its boot loader. With
@@ -33,7 +36,8 @@ impl SerialLink {
             std::thread::sleep(Duration::from_millis(100));
         }
         let _ = port.write_request_to_send(false);
-        Ok(Self { name: name.to_owned(), port, opened: Instant::now() })
+        FIRST_OPENED.get_or_init(Instant::now);
+        Ok(Self { name: name.to_owned(), port })
     }
 
     fn lost(&self, reason: &std::io::Error) -> LinkError {
@@ -96,7 +100,7 @@ impl Port for SerialLink {
     }
 
     fn elapsed(&self) -> Duration {
-        self.opened.elapsed()
+        FIRST_OPENED.get().map_or(Duration::ZERO, Instant::elapsed)
     }
 
     fn is_virtual(&self) -> bool {

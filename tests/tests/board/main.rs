@@ -3,6 +3,7 @@
 mod bench;
 mod chaos;
 mod faults;
+mod link;
 mod recording;
 mod runs;
 mod soak;
