@@ -162,6 +162,31 @@ struct Pressed {
     gone: f64,
 }
 
+/// How many stretches of drive are remembered: on and off, in both directions.
+const MEMORY: usize = 4;
+
+/// What decides how the rotor moves on, its angle aside.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Memo {
+    waves: [Complex; 2],
+    speed_rad_s: f64,
+    turning: f64,
+    bristle_rad: f64,
+}
+
+/// A stretch under constant drive: from where, what it was, how it ended.
+#[derive(Debug, Clone)]
+struct Stretch {
+    start: Memo,
+    duration_s: f64,
+    level: f64,
+    sense: f64,
+    modulation: Modulation,
+    /// End of each step after the start (s), angle turned since the start (rad), speed (rad/s).
+    steps: Vec<(f64, f64, f64)>,
+    end: Memo,
+}
+
 /// The averaged model of one motor.
 #[derive(Debug, Clone)]
 pub struct Averaged {
@@ -185,6 +210,8 @@ pub struct Averaged {
     /// What the crest's turning added to amplitude·ω one step ago (m/s).
     turning: f64,
     steps: u64,
+    memory: Vec<Stretch>,
+    next_memory: usize,
 }
 
 impl Averaged {
@@ -207,6 +234,8 @@ impl Averaged {
             bristle_rad: 0.0,
             turning: 0.0,
             steps: 0,
+            memory: Vec::new(),
+            next_memory: 0,
         };
         let linear = coefficients.source / coefficients.detuning.square().sqrt();
         model.reference_m = linear.max(1e-12);
@@ -332,6 +361,85 @@ impl Averaged {
         self.advance_at_most(until_s, drive, f64::INFINITY, observe);
     }
 
+    /// As [`Averaged::advance`], remembering what it did: a PWM period that starts from the same state under the same drive as one
+    /// before is replayed, not computed. A motor that stops in every off part repeats itself exactly.
+    pub fn advance_remembering(&mut self, until_s: f64, drive: Drive, observe: &mut dyn FnMut(&Segment)) {
+        let start = Memo {
+            waves: self.waves,
+            speed_rad_s: self.speed_rad_s,
+            turning: self.turning,
+            bristle_rad: self.bristle_rad,
+        };
+        let (start_s, start_rad) = (self.time_s, self.position_rad);
+        let duration_s = until_s - start_s;
+        if duration_s <= 0.0 {
+            return;
+        }
+        let known = self.memory.iter().position(|stretch| {
+            stretch.start == start
+                && (stretch.duration_s - duration_s).abs() < 1e-11
+                && stretch.level == drive.level
+                && stretch.sense == drive.sign()
+                && stretch.modulation == self.modulation
+        });
+        if let Some(known) = known {
+            let stretch = &self.memory[known];
+            let mut last = Segment {
+                start_s,
+                end_s: start_s,
+                start_rad,
+                end_rad: start_rad,
+                start_rad_s: self.speed_rad_s,
+                end_rad_s: self.speed_rad_s,
+            };
+            let count = stretch.steps.len();
+            for (i, &(after_s, turned_rad, speed)) in stretch.steps.iter().enumerate() {
+                last = Segment {
+                    start_s: last.end_s,
+                    end_s: if i + 1 == count { until_s } else { start_s + after_s },
+                    start_rad: last.end_rad,
+                    end_rad: start_rad + turned_rad,
+                    start_rad_s: last.end_rad_s,
+                    end_rad_s: speed,
+                };
+                observe(&last);
+            }
+            self.time_s = until_s;
+            self.position_rad = last.end_rad;
+            self.waves = stretch.end.waves;
+            self.speed_rad_s = stretch.end.speed_rad_s;
+            self.turning = stretch.end.turning;
+            self.bristle_rad = stretch.end.bristle_rad;
+            return;
+        }
+        let mut steps = Vec::new();
+        while !self.step(until_s, drive, f64::INFINITY, &mut |segment| {
+            steps.push((segment.end_s - start_s, segment.end_rad - start_rad, segment.end_rad_s));
+            observe(segment);
+        }) {}
+        let end = Memo {
+            waves: self.waves,
+            speed_rad_s: self.speed_rad_s,
+            turning: self.turning,
+            bristle_rad: self.bristle_rad,
+        };
+        let stretch = Stretch {
+            start,
+            duration_s,
+            level: drive.level,
+            sense: drive.sign(),
+            modulation: self.modulation,
+            steps,
+            end,
+        };
+        if self.memory.len() < MEMORY {
+            self.memory.push(stretch);
+        } else {
+            self.memory[self.next_memory] = stretch;
+        }
+        self.next_memory = (self.next_memory + 1) % MEMORY;
+    }
+
     /// As [`Averaged::advance`], in one step of at most `longest_s` and never past `until_s`. Returns whether it got there.
     pub fn step(&mut self, until_s: f64, drive: Drive, longest_s: f64, observe: &mut dyn FnMut(&Segment)) -> bool {
         let left = until_s - self.time_s;
@@ -386,6 +494,10 @@ impl Averaged {
         // The step: neither the waves nor the rotor may change by more than CHANGE of their references.
         let pace = (now.change[0].square() + now.change[1].square()).sqrt();
         let mut h = longest.min(LONGEST_S).min(CHANGE * self.reference_m / pace.max(1e-300));
+        if self.flavour == Flavour::Thesis {
+            // The listed torque goes with the wave's amplitude all the way down.
+            h = h.min(0.5 * self.amplitude_m().max(3e-3 * self.reference_m) / pace.max(1e-300));
+        }
         if f0.abs() > CHANGE * self.reference_rad_s * s0.abs() {
             h = h.min((CHANGE * self.reference_rad_s / f0.abs()).max(1e-6));
         }

@@ -122,8 +122,7 @@ impl MotorPlant {
 
     fn modulation(&self, drive: Drive) -> Modulation {
         let e = &self.effects;
-        let (time, angle, speed) = (self.time_s(), self.position_rad(), self.speed_rad_s());
-        let _ = speed;
+        let (time, angle) = (self.time_s(), self.position_rad());
         let sense = drive.sign();
         let mut m = Modulation::NONE;
         if let Some(e) = e.resonance_heating {
@@ -170,9 +169,10 @@ impl MotorPlant {
         m
     }
 
-    fn remember(&mut self, segment: &Segment, drive: Drive) {
-        let h = segment.end_s - segment.start_s;
-        self.history.revolutions += (segment.end_rad - segment.start_rad).abs() / (2.0 * PI);
+    /// Follows what has slow memory since a time (s) and an angle (rad).
+    fn remember(&mut self, (since_s, since_rad): (f64, f64), drive: Drive) {
+        let h = self.time_s() - since_s;
+        self.history.revolutions += (self.position_rad() - since_rad).abs() / (2.0 * PI);
         if let Some(e) = self.effects.resonance_heating {
             self.history.warmth = drive.level + (self.history.warmth - drive.level) * (-h / e.tau_s).exp();
         }
@@ -180,7 +180,7 @@ impl MotorPlant {
             self.current = drive.level + (self.current - drive.level) * (-h / e.tau_s).exp();
         }
         if drive.level > 0.0 {
-            self.last_on_s = segment.end_s;
+            self.last_on_s = self.time_s();
         }
     }
 }
@@ -211,6 +211,14 @@ impl Plant for MotorPlant {
         if drive.level > 0.0 && self.time_s() - self.last_on_s > RESTART_S {
             self.began_s = self.time_s();
         }
+        let modulation = self.modulation(drive);
+        if let (Model::Averaged(model), true) = (&mut self.model, self.longest_s.is_infinite()) {
+            let before = (model.time_s(), model.position_rad());
+            model.modulate(&modulation);
+            model.advance_remembering(until_s, drive, observe);
+            self.remember(before, drive);
+            return;
+        }
         loop {
             let modulation = if self.changes { self.modulation(drive) } else { Modulation::NONE };
             let longest = self.longest_s;
@@ -234,7 +242,7 @@ impl Plant for MotorPlant {
                 }
             };
             if let Some(segment) = last {
-                self.remember(&segment, drive);
+                self.remember((segment.start_s, segment.start_rad), drive);
             }
             if arrived {
                 return;
