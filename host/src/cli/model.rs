@@ -1,13 +1,352 @@
 //! `twum model`.
 
-use anyhow::{Result, bail};
+use super::output::{print_table, spinner};
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use serde::Serialize;
+use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::model::closed_loop::{Following, LoopProgram, Tick, following, run as run_loop};
+use twum_host::model::effects::EffectSet;
+use twum_host::model::motor::Motor;
+use twum_host::model::motor_plant::{History, MotorPlant, Solver};
+use twum_host::model::parameters::Flavour;
+use twum_host::model::study::{Setup, Speed};
+use twum_host::report::figure::{Figure, Panel};
+use twum_shared::reference::Reference;
+use twum_shared::step::{Config, ConfigSpec};
 
 /// Arguments of `twum model`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+Examples:
+  twum model speed                                  full drive, thesis flavour, averaged model
+  twum model speed --solver carrier --seconds 0.4   the same at carrier resolution
+  twum model speed --flavour physical --duty 0.5 --set u=0.12 --json
+  twum model sweep --flavour physical --plot speed_duty.svg
+  twum model torque --flavour physical --plot torque.png
+  twum model loop --flavour physical --csv loop.csv --plot loop.svg
+
+Parameters of --set are those of the thesis's section A.4: f, Vrms, Ms, Cs, Ks, eta, Rr, R0, b, n, h, Mr, Jr, Cz, Ctheta,
+u, Fext, Tload, Cn; and uoff, the friction without a wave. docs/model.md has the equations and what they leave out.")]
+pub struct Args {
+    #[command(subcommand)]
+    question: Question,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Question {
+    /// Speed at one duty, over the last 20 % of a run
+    Speed {
+        #[command(flatten)]
+        common: Common,
+        /// Fraction of the PWM period with the drive on
+        #[arg(long, default_value_t = 1.0)]
+        duty: f64,
+    },
+    /// Speed against duty
+    Sweep {
+        #[command(flatten)]
+        common: Common,
+        /// Number of duties from 0 to 1
+        #[arg(long, default_value_t = 33)]
+        points: usize,
+    },
+    /// Speed against load torque, up to what the contact can transmit
+    Torque {
+        #[command(flatten)]
+        common: Common,
+        /// Fraction of the PWM period with the drive on
+        #[arg(long, default_value_t = 1.0)]
+        duty: f64,
+        /// Number of loads
+        #[arg(long, default_value_t = 21)]
+        points: usize,
+    },
+    /// The motor under the chip's control step, following a sine
+    Loop {
+        #[command(flatten)]
+        common: Common,
+        /// Which controller
+        #[arg(long, value_enum, default_value_t = ControlArg::Thesis)]
+        control: ControlArg,
+        /// Amplitude of the sine (counts)
+        #[arg(long, default_value_t = 89)]
+        amplitude: i32,
+        /// Angular frequency of the sine (rad/s)
+        #[arg(long, default_value_t = 1.257)]
+        omega: f64,
+        /// Count edges in the rotor's true sense, not the direction pin's: what no one-line encoder can do
+        #[arg(long)]
+        true_sense: bool,
+        /// Write every control tick to this file
+        #[arg(long, value_name = "FILE")]
+        csv: Option<PathBuf>,
+    },
+}
+
+#[derive(Debug, clap::Args)]
+struct Common {
+    /// A shipped motor, or a motor file
+    #[arg(long, default_value = "pcbmotor-30mm")]
+    motor: String,
+    /// Change a parameter; repeatable
+    #[arg(long = "set", value_name = "NAME=VALUE")]
+    set: Vec<String>,
+    /// PWM frequency (Hz)
+    #[arg(long, default_value_t = 50.0)]
+    pwm_hz: f64,
+    /// Length of the run (s) [default: 1, and 10 for loop]
+    #[arg(long)]
+    seconds: Option<f64>,
+    /// Which model
+    #[arg(long, value_enum, default_value_t = SolverArg::Averaged)]
+    solver: SolverArg,
+    /// Which reading of the model
+    #[arg(long, value_enum, default_value_t = FlavourArg::Thesis)]
+    flavour: FlavourArg,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Draw to this file, .svg or .png
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum SolverArg {
+    Averaged,
+    Carrier,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum FlavourArg {
+    Thesis,
+    Physical,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum ControlArg {
+    Thesis,
+    Default,
+}
+
+impl Common {
+    fn setup(&self, duty: f64, seconds: f64) -> Result<Setup> {
+        let flavour = match self.flavour {
+            FlavourArg::Thesis => Flavour::Thesis,
+            FlavourArg::Physical => Flavour::Physical,
+        };
+        let solver = match self.solver {
+            SolverArg::Averaged => Solver::Averaged,
+            SolverArg::Carrier => Solver::Carrier,
+        };
+        let parameters = Motor::load(&self.motor)?.parameters(flavour).assign(&self.set).context("--set")?;
+        let setup =
+            Setup { parameters, flavour, solver, duty, pwm_hz: self.pwm_hz, seconds: self.seconds.unwrap_or(seconds) };
+        setup.check()?;
+        Ok(setup)
+    }
+
+    fn draw(&self, figure: impl FnOnce() -> Result<Figure>) -> Result<()> {
+        if let Some(path) = &self.plot {
+            figure()?.write(path).with_context(|| format!("cannot draw {}", path.display()))?;
+            eprintln!("wrote {}", path.display());
+        }
+        Ok(())
+    }
+}
 
 /// Runs `twum model`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum model` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    match args.question {
+        Question::Speed { common, duty } => speed(&common, duty),
+        Question::Sweep { common, points } => sweep(&common, points),
+        Question::Torque { common, duty, points } => torque(&common, duty, points),
+        Question::Loop { common, control, amplitude, omega, true_sense, csv } => {
+            follow(&common, control, amplitude, omega, true_sense, csv)
+        }
+    }?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn print_json(value: &impl Serialize) -> Result<()> {
+    println!("{}", serde_json::to_string(value)?);
+    Ok(())
+}
+
+fn speed(common: &Common, duty: f64) -> Result<()> {
+    let setup = common.setup(duty, 1.0)?;
+    let waiting = spinner();
+    let speed = setup.speed()?;
+    waiting.finish_and_clear();
+    if common.json {
+        print_json(&speed)?;
+    } else {
+        println!("speed           {:.4} rad/s = {:.3} rpm (mean over the last 20 %)", speed.speed_rad_s, speed.speed_rpm);
+        println!("wave amplitude  {:.4e} m", speed.wave_amplitude_m);
+        println!("rotor height    {:.4e} m", speed.rotor_height_m);
+        let times = setup.seconds / speed.wall_s;
+        println!("{} steps in {:.4} s, {:.3} times real time", speed.steps, speed.wall_s, times);
+    }
+    common.draw(|| {
+        let line = setup.start_up()?;
+        let title = format!("Start of the {} motor model, duty {duty}", setup.flavour);
+        Ok(Figure::new(title).panel(Panel::new("time (s)", "speed (rpm)").line("speed", &line)))
+    })
+}
+
+#[derive(Serialize)]
+struct SweepPoint {
+    duty: f64,
+    #[serde(flatten)]
+    speed: Speed,
+}
+
+fn sweep(common: &Common, points: usize) -> Result<()> {
+    if !(2..=10_000).contains(&points) {
+        bail!("--points {points} is outside 2 ..= 10000");
+    }
+    let setup = common.setup(1.0, 1.0)?;
+    let duties: Vec<f64> = (0..points).map(|i| i as f64 / (points - 1) as f64).collect();
+    let waiting = spinner();
+    let speeds = setup.sweep(&duties)?;
+    waiting.finish_and_clear();
+    if common.json {
+        print_json(&speeds.iter().map(|&(duty, speed)| SweepPoint { duty, speed }).collect::<Vec<_>>())?;
+    } else {
+        let rows: Vec<_> = speeds
+            .iter()
+            .map(|(duty, s)| vec![format!("{duty:.4}"), format!("{:.4}", s.speed_rad_s), format!("{:.3}", s.speed_rpm)])
+            .collect();
+        print_table(&["duty", "rad/s", "rpm"], &rows);
+    }
+    common.draw(|| {
+        let line: Vec<_> = speeds.iter().map(|(duty, s)| (*duty, s.speed_rpm)).collect();
+        let title = format!("Speed against duty, {} flavour, {} Hz PWM", setup.flavour, setup.pwm_hz);
+        Ok(Figure::new(title).panel(Panel::new("duty", "speed (rpm)").line("model", &line)))
+    })
+}
+
+#[derive(Serialize)]
+struct TorquePoint {
+    load_nm: f64,
+    #[serde(flatten)]
+    speed: Speed,
+}
+
+fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
+    if !(2..=10_000).contains(&points) {
+        bail!("--points {points} is outside 2 ..= 10000");
+    }
+    let setup = common.setup(duty, 1.0)?;
+    // Just short of the stall torque: beyond it the rotor runs away backwards.
+    let stall = setup.stall_torque_nm();
+    let loads: Vec<f64> = (0..points).map(|i| 0.995 * stall * i as f64 / (points - 1) as f64).collect();
+    let waiting = spinner();
+    let speeds = setup.under_loads(&loads)?;
+    waiting.finish_and_clear();
+    if common.json {
+        print_json(&speeds.iter().map(|&(load_nm, speed)| TorquePoint { load_nm, speed }).collect::<Vec<_>>())?;
+    } else {
+        let rows: Vec<_> = speeds
+            .iter()
+            .map(|(load, s)| vec![format!("{:.4}", load * 1e3), format!("{:.4}", s.speed_rad_s), format!("{:.3}", s.speed_rpm)])
+            .collect();
+        print_table(&["mN·m", "rad/s", "rpm"], &rows);
+        eprintln!("the contact transmits at most {:.3} mN·m", stall * 1e3);
+    }
+    common.draw(|| {
+        let line: Vec<_> = speeds.iter().map(|(load, s)| (s.speed_rpm, load * 1e3)).collect();
+        let title = format!("Torque against speed, {} flavour, duty {duty}", setup.flavour);
+        Ok(Figure::new(title).panel(Panel::new("speed (rpm)", "torque (mN·m)").line("model", &line)))
+    })
+}
+
+#[derive(Serialize)]
+struct LoopAnswer {
+    #[serde(flatten)]
+    following: Following,
+    ticks: usize,
+    wall_s: f64,
+}
+
+fn follow(
+    common: &Common,
+    control: ControlArg,
+    amplitude: i32,
+    omega: f64,
+    true_sense: bool,
+    csv: Option<PathBuf>,
+) -> Result<()> {
+    let setup = common.setup(1.0, 10.0)?;
+    let spec = match control {
+        ControlArg::Thesis => ConfigSpec::THESIS,
+        ControlArg::Default => ConfigSpec::DEFAULT,
+    };
+    if !(0.0..=100.0).contains(&omega) {
+        bail!("--omega {omega} is outside 0 ..= 100 rad/s");
+    }
+    let reference = Reference::Sine { amplitude, omega_urad_s: (omega * 1e6).round() as u32 };
+    reference.validate()?;
+    let program = LoopProgram {
+        config: Config::try_from(spec)?,
+        reference,
+        pwm_hz: setup.pwm_hz,
+        edges_per_rev: Motor::load(&common.motor)?.edges_per_rev,
+        encoder_phase_rad: 0.0,
+        end_s: setup.seconds,
+        true_sense,
+    };
+    let effects = EffectSet::default();
+    let mut plant = MotorPlant::new(setup.parameters, setup.flavour, setup.solver, &effects, History::default());
+    let began = std::time::Instant::now();
+    let waiting = spinner();
+    let trace = run_loop(&program, &mut plant, &effects)?;
+    waiting.finish_and_clear();
+    let following = following(&program, &trace);
+    if common.json {
+        print_json(&LoopAnswer { following, ticks: trace.len(), wall_s: began.elapsed().as_secs_f64() })?;
+    } else {
+        println!("counted  {:.3} deg2 MSE, {:.3} deg mean |error|", following.mse_deg2, following.mean_abs_deg);
+        println!("true     {:.3} deg2 MSE, {:.3} deg mean |error|", following.true_mse_deg2, following.true_mean_abs_deg);
+        println!("the count ended {} counts off the true position", following.miscount);
+    }
+    if let Some(path) = csv {
+        write_csv(&path, &trace).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    common.draw(|| Ok(loop_figure(&program, &trace, &setup)))
+}
+
+/// The `control` format of a measurement folder.
+fn write_csv(path: &std::path::Path, trace: &[Tick]) -> Result<()> {
+    let mut writer = csv::Writer::from_path(path)?;
+    writer.write_record(["time_us", "target", "position", "u", "duty", "direction"])?;
+    for tick in trace {
+        writer.write_record([
+            format!("{:.0}", tick.time_s * 1e6),
+            tick.target.to_string(),
+            tick.position.to_string(),
+            format!("{:.5}", f64::from(tick.u) / 65536.0),
+            format!("{:.6}", tick.duty),
+            tick.direction.sign().to_string(),
+        ])?;
+    }
+    writer.flush()?;
+    Ok(())
+}
+
+fn loop_figure(program: &LoopProgram, trace: &[Tick], setup: &Setup) -> Figure {
+    let count_deg = 360.0 / f64::from(program.edges_per_rev);
+    let thin: Vec<&Tick> = trace.iter().step_by((trace.len() / 4000).max(1)).collect();
+    let of = |f: &dyn Fn(&Tick) -> f64| thin.iter().map(|tick| (tick.time_s, f(tick))).collect::<Vec<_>>();
+    let target = of(&|t| f64::from(t.target) * count_deg);
+    let truth = of(&|t| t.angle_rad.to_degrees());
+    let error = of(&|t| f64::from(t.target) * count_deg - t.angle_rad.to_degrees());
+    let duty = of(&|t| t.duty * f64::from(t.direction.sign()));
+    Figure::new(format!("Position control of the {} motor model", setup.flavour))
+        .size(1000, 1000)
+        .panel(Panel::new("time (s)", "angle (deg)").line("target", &target).line("rotor", &truth))
+        .panel(Panel::new("time (s)", "error (deg)").line("target - rotor", &error))
+        .panel(Panel::new("time (s)", "signed duty").line("duty", &duty))
 }

@@ -26,6 +26,7 @@
 pub mod actuator;
 pub mod averaged;
 pub mod carrier;
+pub mod closed_loop;
 pub mod contact;
 pub mod effects;
 mod half_contact_table;
@@ -37,3 +38,4 @@ pub mod parameters;
 pub mod plant;
 pub mod sensor;
 pub mod simulate;
+pub mod study;

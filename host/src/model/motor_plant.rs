@@ -29,6 +29,8 @@ pub struct History {
 
 /// A pause of the drive longer than this makes the driver search its frequency anew (s); see `frequency-settling`.
 const RESTART_S: f64 = 0.1;
+/// A stretch of drive shorter than this is a control tick, not a part of a PWM period: it will not come again (s).
+const WORTH_REMEMBERING_S: f64 = 5.1e-4;
 /// Longest step while an effect changes the motor (s); an angle-dependent one sees 0.2° at full speed.
 const LONGEST_S: f64 = 1e-3;
 
@@ -211,8 +213,9 @@ impl Plant for MotorPlant {
         if drive.level > 0.0 && self.time_s() - self.last_on_s > RESTART_S {
             self.began_s = self.time_s();
         }
+        let now_s = self.time_s();
         let modulation = self.modulation(drive);
-        if let (Model::Averaged(model), true) = (&mut self.model, self.longest_s.is_infinite()) {
+        if let (Model::Averaged(model), true) = (&mut self.model, self.longest_s.is_infinite() && until_s - now_s > WORTH_REMEMBERING_S) {
             let before = (model.time_s(), model.position_rad());
             model.modulate(&modulation);
             model.advance_remembering(until_s, drive, observe);
