@@ -4,7 +4,11 @@ use super::connect::{INTERRUPTED, catch_interrupts};
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use twum_host::link::serve;
-use twum_host::sim::{DriverHealth, Setup};
+use twum_host::model::effects::EffectSet;
+use twum_host::model::motor::Motor;
+use twum_host::model::motor_plant::{History, MotorPlant, Solver};
+use twum_host::model::parameters::Flavour;
+use twum_host::sim::{DriverHealth, FirstOrderMotor, PlantMotor, Setup, SimulatedMotor};
 
 /// Arguments of `twum sim`.
 #[derive(Debug, clap::Args)]
@@ -15,6 +19,9 @@ pub struct Args {
     /// Serve on a new pseudo-terminal, whose name is printed
     #[arg(long, required = true)]
     pty: bool,
+    /// Motor: `simple`, or a motor file's name or path, run with the averaged physical model
+    #[arg(long, default_value = "simple")]
+    motor: String,
     /// How well the driver board is
     #[arg(long, value_enum, default_value = "well")]
     driver: Driver,
@@ -44,7 +51,15 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Driver::Garbage => DriverHealth::Garbage,
         Driver::Lame => DriverHealth::Lame,
     };
-    let setup = Setup { driver, start_pitch: args.start_pitch, ..Setup::default() };
+    let motor: Box<dyn SimulatedMotor> = if args.motor == "simple" {
+        Box::new(FirstOrderMotor::default())
+    } else {
+        let (motor, flavour) = (Motor::load(&args.motor)?, Flavour::Physical);
+        let (effects, solver) = (EffectSet::default(), Solver::Averaged);
+        let plant = MotorPlant::new(motor.parameters(flavour), flavour, solver, &effects, History::default());
+        Box::new(PlantMotor::new(plant))
+    };
+    let setup = Setup { driver, motor, start_pitch: args.start_pitch, ..Setup::default() };
     serve(setup, &INTERRUPTED, |name| {
         println!("{name}");
         eprintln!("serving a simulated board in real time; Ctrl-C ends it");

@@ -12,4 +12,4 @@ mod wire;
 
 pub use board::{Board, Disturbance, Setup};
 pub use driver_board::DriverHealth;
-pub use motor::{FirstOrderMotor, SimulatedMotor};
+pub use motor::{FirstOrderMotor, PlantMotor, SimulatedMotor};

@@ -1,5 +1,6 @@
 //! The seam to a motor, and the simple motor the board has when no other is given.
 
+use crate::model::plant::{Drive, Plant};
 use twum_shared::Direction;
 
 /// A motor with its rotor, as the simulated board drives it: the wave on or off, one direction.
@@ -73,6 +74,33 @@ impl SimulatedMotor for FirstOrderMotor {
         if !self.stuck {
             self.angle_rad += angle_rad;
         }
+    }
+}
+
+/// A motor model behind the board's seam.
+#[derive(Clone, Debug)]
+pub struct PlantMotor<P> {
+    plant: P,
+    nudged_rad: f64,
+}
+
+impl<P: Plant> PlantMotor<P> {
+    /// Puts a plant at rest on the board.
+    pub fn new(plant: P) -> Self {
+        Self { plant, nudged_rad: 0.0 }
+    }
+}
+
+impl<P: Plant> SimulatedMotor for PlantMotor<P> {
+    fn advance(&mut self, dt_s: f64, drive_on: bool, direction: Direction) -> f64 {
+        let level = f64::from(u8::from(drive_on));
+        let until_s = self.plant.time_s() + dt_s;
+        self.plant.advance(until_s, Drive { level, direction, duty: level }, &mut |_| {});
+        self.plant.position_rad() + self.nudged_rad
+    }
+
+    fn nudge(&mut self, angle_rad: f64) {
+        self.nudged_rad += angle_rad;
     }
 }
 

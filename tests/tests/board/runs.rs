@@ -178,3 +178,25 @@ fn commands_out_of_place_are_refused_with_their_reason() {
     assert!(matches!(refusal(wild), Refusal::Reference(_)));
     assert!(bench.board().output_is_off());
 }
+
+#[test]
+fn the_motor_model_runs_on_the_board() {
+    use twum_host::model::effects::EffectSet;
+    use twum_host::model::motor::Motor;
+    use twum_host::model::motor_plant::{History, MotorPlant, Solver};
+    use twum_host::model::parameters::Flavour;
+    use twum_host::sim::PlantMotor;
+    let flavour = Flavour::Physical;
+    let parameters = Motor::pcbmotor_30mm().parameters(flavour);
+    let plant = MotorPlant::new(parameters, flavour, Solver::Averaged, &EffectSet::default(), History::default());
+    let mut bench = Bench::new(Setup { motor: Box::new(PlantMotor::new(plant)), ..Setup::default() });
+    bench.session.configure(default_configuration()).unwrap();
+    bench.session.align().unwrap();
+    bench.session.arm().unwrap();
+    let before = bench.board().angle_rad();
+    bench.session.start_speed(speed(Duty::FULL, Direction::Cw, 1_000)).unwrap();
+    bench.wait(1_200);
+    // The real motor turns at about 35 rpm under full drive.
+    let rpm = (bench.board().angle_rad() - before) / std::f64::consts::TAU * 60.0;
+    assert!((30.0..40.0).contains(&rpm), "{rpm} rpm");
+}
