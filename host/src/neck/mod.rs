@@ -1,6 +1,14 @@
 //! The neck simulator: three position-controlled motors in a spherical wrist doing range-of-motion exercises
 //! (thesis, section A.8 and Table 5.6).
 
+pub mod control;
+pub mod disturbance;
 pub mod exercise;
+pub mod joint;
 pub mod kinematics;
+pub mod load;
+pub mod motor;
 pub mod path;
+pub mod score;
+pub mod session;
+pub mod thesis_table;
