@@ -92,7 +92,7 @@ impl Score {
             let reference = motions.map(|motion| motion.deg);
             let actual = session.joints_deg(tick);
             let wanted = session.wrist.end_point_m(reference);
-            end_point.add((session.wrist.end_point_m(actual) - wanted).norm());
+            end_point.add(session.error_m(tick));
             uncorrected
                 .add((session.wrist.end_point_m(drifted(reference, &setup.disturbance, time_s)) - wanted).norm());
             let demand = setup.head.demand_nm(motions, setup.motor.rotor);

@@ -170,4 +170,9 @@ impl Session {
     pub fn reference_deg(&self, tick: usize) -> [f64; JOINTS] {
         path::motion(&self.exercise, self.time_s(tick)).map(|motion| motion.deg)
     }
+
+    /// Distance of the end point from its reference at an entry, m.
+    pub fn error_m(&self, tick: usize) -> f64 {
+        (self.wrist.end_point_m(self.joints_deg(tick)) - self.wrist.end_point_m(self.reference_deg(tick))).norm()
+    }
 }

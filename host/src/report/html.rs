@@ -151,7 +151,7 @@ fn is_number(cell: &str) -> bool {
     cell.replace('\u{2212}', "-").parse::<f64>().is_ok()
 }
 
-fn escaped(text: &str) -> String {
+pub(crate) fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

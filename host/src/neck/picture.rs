@@ -1,0 +1,68 @@
+//! Pictures of sessions: the end point's trajectory, reference and true, as in the thesis's Figure 5.12, and the errors.
+
+use super::kinematics::JOINTS;
+use super::session::Session;
+use crate::report::figure::{Figure, Panel};
+
+/// Time between the points drawn, s.
+const STEP_S: f64 = 0.01;
+
+/// A column an exercise: the trajectory from the side, the front and above, the end point's error, the joints' errors.
+pub fn figure(sessions: &[&Session]) -> Figure {
+    let height = 60 + 300 * 5;
+    let figure = Figure::new("End point of the neck manipulator: reference and true")
+        .size(60 + 340 * (sessions.len().max(2) as u32), height)
+        .columns(sessions.len());
+    let rows = [side, front, above, end_point_error, joint_errors];
+    rows.into_iter().flat_map(|row| sessions.iter().map(move |session| row(session))).fold(figure, Figure::panel)
+}
+
+fn side(session: &Session) -> Panel {
+    plane(session, ("y, forward (m)", 1), ("z, up (m)", 2)).title(session.exercise.title().to_owned())
+}
+
+fn front(session: &Session) -> Panel {
+    plane(session, ("x, to the right (m)", 0), ("z, up (m)", 2))
+}
+
+fn above(session: &Session) -> Panel {
+    plane(session, ("x, to the right (m)", 0), ("y, forward (m)", 1))
+}
+
+fn plane(session: &Session, (x_label, x): (&str, usize), (y_label, y): (&str, usize)) -> Panel {
+    let reach = 1.1 * session.wrist.length_m;
+    let (low, high) = if y == 2 { (-0.2 * reach, reach) } else { (-reach, reach) };
+    let trajectory = |pose: fn(&Session, usize) -> [f64; JOINTS]| -> Vec<(f64, f64)> {
+        ticks(session)
+            .map(|tick| {
+                let point = session.wrist.end_point_m(pose(session, tick));
+                (point[x], point[y])
+            })
+            .collect()
+    };
+    Panel::new(x_label, y_label)
+        .x_range(-reach, reach)
+        .y_range(low, high)
+        .line("true", &trajectory(Session::joints_deg))
+        .dashed("reference", &trajectory(Session::reference_deg))
+}
+
+fn end_point_error(session: &Session) -> Panel {
+    let error: Vec<(f64, f64)> =
+        ticks(session).map(|tick| (session.time_s(tick), session.error_m(tick) * 1e3)).collect();
+    Panel::new("time (s)", "end-point error (mm)").line("", &error)
+}
+
+fn joint_errors(session: &Session) -> Panel {
+    (0..JOINTS).fold(Panel::new("time (s)", "joint error (°)"), |panel, joint| {
+        let error: Vec<(f64, f64)> = ticks(session)
+            .map(|tick| (session.time_s(tick), session.joints_deg(tick)[joint] - session.reference_deg(tick)[joint]))
+            .collect();
+        panel.line(format!("joint {}", joint + 1), &error)
+    })
+}
+
+fn ticks(session: &Session) -> impl Iterator<Item = usize> + use<> {
+    let stride = ((STEP_S / session.tick_s).round() as usize).max(1);
+    (0..session.len()).step_by(stride)
+}
