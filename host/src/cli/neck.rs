@@ -1,13 +1,326 @@
 //! `twum neck`.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::model::motor_plant::Solver;
+use twum_host::model::parameters::Flavour;
+use twum_host::neck::control::Named;
+use twum_host::neck::disturbance::Disturbance;
+use twum_host::neck::exercise::Exercise;
+use twum_host::neck::kinematics::{JOINTS, THESIS_LENGTH_M, Wrist};
+use twum_host::neck::load::Head;
+use twum_host::neck::motor::JointMotor;
+use twum_host::neck::report::Report;
+use twum_host::neck::score::Score;
+use twum_host::neck::session::{DEFAULT_EDGES_PER_REV, Session, Setup};
+use twum_host::neck::study::Study;
+use twum_host::neck::{foxglove, page, path, picture};
 
 /// Arguments of `twum neck`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(
+    args_conflicts_with_subcommands = true,
+    after_help = "\
+Examples:
+  twum neck                                          the thesis's three exercises, beside its Table 5.6
+  twum neck --flavour thesis                         ... as the thesis had them: its model and its controller
+  twum neck --exercise rotation --json
+  twum neck --figure neck.png --page neck.html --mcap neck.mcap
+  twum neck --disturbance-deg 8 --disturbance-hz 0.5 --disturbance-joints 2
+  twum neck --exercise flexion-extension --head-kg 0.05 --head-centre 0.12
+  twum neck exercises flexion-extension > mine.toml  a file to start one's own from
+  twum neck --exercise mine.toml
+  twum neck path --exercise mine.toml --json
+  twum neck study --out study.csv                    1008 cases; `twum neck study --example` shows their file"
+)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    run: RunArgs,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Print the joint paths of an exercise: angles, velocities, accelerations and end point
+    Path(PathArgs),
+    /// Simulate every combination of exercises, motors, disturbances and sensors, to CSV
+    Study(StudyArgs),
+    /// List the shipped exercises, or print the file of one
+    Exercises {
+        /// Exercise whose file to print
+        name: Option<String>,
+    },
+}
+
+#[derive(Debug, clap::Args)]
+struct RunArgs {
+    /// Exercise: flexion-extension, lateral-flexion, rotation, all of them, or a file
+    #[arg(long, default_value = "all", value_name = "NAME|FILE|all")]
+    exercise: String,
+    /// Motor at each joint: a shipped one or a file
+    #[arg(long, default_value = "pcbmotor-30mm", value_name = "NAME|FILE")]
+    motor: String,
+    /// Flavour of the motor model
+    #[arg(long, value_enum, default_value_t = FlavourArg::Physical)]
+    flavour: FlavourArg,
+    /// Controller [default: `thesis` with the thesis flavour, `default` otherwise]
+    #[arg(long, value_enum)]
+    control: Option<ControlArg>,
+    /// Motor model: the wave's envelope, or every one of its cycles (minutes an exercise)
+    #[arg(long, value_enum, default_value_t = SolverArg::Averaged)]
+    solver: SolverArg,
+    /// Resolution of the sensor at each joint, edges a revolution
+    #[arg(long, default_value_t = DEFAULT_EDGES_PER_REV)]
+    edges_per_rev: u32,
+    /// PWM frequency, Hz
+    #[arg(long, default_value_t = 50.0)]
+    pwm_hz: f64,
+    /// Amplitude of the disturbance, ° (0 for none; the thesis does not state its own)
+    #[arg(long, default_value_t = 5.0)]
+    disturbance_deg: f64,
+    /// Frequency of the disturbance, Hz
+    #[arg(long, default_value_t = 0.2)]
+    disturbance_hz: f64,
+    /// Phase of the disturbance at the start, °
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    disturbance_phase_deg: f64,
+    /// Joints the disturbance moves
+    #[arg(long, value_delimiter = ',', default_value = "1,2,3", value_parser = clap::value_parser!(u8).range(1..=3))]
+    disturbance_joints: Vec<u8>,
+    /// Mass the motors carry on the neck's axis, kg
+    #[arg(long, default_value_t = 0.0)]
+    head_kg: f64,
+    /// Distance of that mass from the wrist's centre, m
+    #[arg(long, default_value_t = 0.12)]
+    head_centre: f64,
+    /// Distance of the end point from the wrist's centre, m
+    #[arg(long, default_value_t = THESIS_LENGTH_M)]
+    neck_length: f64,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Draw trajectories and errors, as .svg or .png
+    #[arg(long, value_name = "FILE")]
+    figure: Option<PathBuf>,
+    /// Write a page that plays the exercises in three dimensions, without a network
+    #[arg(long, value_name = "FILE.html")]
+    page: Option<PathBuf>,
+    /// Write an MCAP file with frame transforms, for Foxglove
+    #[arg(long, value_name = "FILE.mcap")]
+    mcap: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+struct PathArgs {
+    /// Exercise: flexion-extension, lateral-flexion, rotation, or a file
+    #[arg(long, value_name = "NAME|FILE")]
+    exercise: String,
+    /// Points a second
+    #[arg(long, default_value_t = 100.0)]
+    rate_hz: f64,
+    /// Distance of the end point from the wrist's centre, m
+    #[arg(long, default_value_t = THESIS_LENGTH_M)]
+    neck_length: f64,
+    /// Print JSON instead of CSV
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct StudyArgs {
+    /// Study file [default: the 1008 cases of --example]
+    file: Option<PathBuf>,
+    /// CSV file [default: standard output]
+    #[arg(long, value_name = "FILE.csv")]
+    out: Option<PathBuf>,
+    /// Print the study file that is used when none is given
+    #[arg(long)]
+    example: bool,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum FlavourArg {
+    Thesis,
+    Physical,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum ControlArg {
+    Thesis,
+    Default,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum SolverArg {
+    Averaged,
+    Carrier,
+}
 
 /// Runs `twum neck`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum neck` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    match args.command {
+        None => simulate(args.run),
+        Some(Command::Path(args)) => print_path(&args),
+        Some(Command::Study(args)) => study(&args),
+        Some(Command::Exercises { name }) => exercises(name),
+    }
+}
+
+fn simulate(args: RunArgs) -> Result<ExitCode> {
+    let exercises = match args.exercise.as_str() {
+        "all" => Exercise::SHIPPED.iter().map(|name| Exercise::shipped(name)).collect::<Result<Vec<_>, _>>()?,
+        name => vec![Exercise::load(name)?],
+    };
+    let setup = setup(&args)?;
+    let bar = ProgressBar::new(exercises.len() as u64).with_style(bar_style());
+    bar.set_message("simulating");
+    let mut sessions = Vec::new();
+    for exercise in &exercises {
+        sessions.push(setup.simulate(exercise)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let scores: Vec<Score> = sessions.iter().map(|session| Score::of(session, &setup)).collect();
+    let report = Report::new(&setup, scores.clone());
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        print!("{}", report.text());
+    }
+    let all: Vec<&Session> = sessions.iter().collect();
+    if let Some(file) = args.figure {
+        picture::figure(&all).write(&file)?;
+        eprintln!("wrote {}", file.display());
+    }
+    if let Some(file) = args.page {
+        let played: Vec<_> = sessions.iter().zip(&scores).collect();
+        let html = page::page("Neck range-of-motion exercises", &report.setup_line(), &played);
+        std::fs::write(&file, html).with_context(|| file.display().to_string())?;
+        eprintln!("wrote {}", file.display());
+    }
+    if let Some(file) = args.mcap {
+        let to = File::create(&file).with_context(|| file.display().to_string())?;
+        foxglove::write(&all, BufWriter::new(to)).with_context(|| file.display().to_string())?;
+        eprintln!("wrote {}", file.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn setup(args: &RunArgs) -> Result<Setup> {
+    let flavour = match args.flavour {
+        FlavourArg::Thesis => Flavour::Thesis,
+        FlavourArg::Physical => Flavour::Physical,
+    };
+    let control = match (args.control, args.flavour) {
+        (Some(ControlArg::Thesis), _) | (None, FlavourArg::Thesis) => Named::Thesis,
+        (Some(ControlArg::Default), _) | (None, FlavourArg::Physical) => Named::Default,
+    };
+    let solver = match args.solver {
+        SolverArg::Averaged => Solver::Averaged,
+        SolverArg::Carrier => Solver::Carrier,
+    };
+    let mut joints = [false; JOINTS];
+    for joint in &args.disturbance_joints {
+        joints[usize::from(*joint) - 1] = true;
+    }
+    Ok(Setup {
+        motor: JointMotor::load(&args.motor, flavour, solver)?,
+        control,
+        edges_per_rev: args.edges_per_rev,
+        pwm_hz: args.pwm_hz,
+        disturbance: Disturbance {
+            amplitude_deg: args.disturbance_deg,
+            frequency_hz: args.disturbance_hz,
+            phase_deg: args.disturbance_phase_deg,
+            joints,
+        },
+        head: Head { mass_kg: args.head_kg, centre_m: args.head_centre },
+        wrist: Wrist { length_m: args.neck_length },
+    })
+}
+
+fn print_path(args: &PathArgs) -> Result<ExitCode> {
+    let exercise = Exercise::load(&args.exercise)?;
+    if !(args.rate_hz > 0.0 && args.rate_hz <= 1e5) {
+        bail!("--rate-hz {}: above 0 and up to 100000", args.rate_hz);
+    }
+    let points = path::table(&exercise, Wrist { length_m: args.neck_length }, args.rate_hz);
+    if args.json {
+        println!("{}", serde_json::to_string(&json!({"exercise": exercise.name(), "points": points}))?);
+    } else {
+        let mut out = csv::Writer::from_writer(std::io::stdout().lock());
+        out.write_record([
+            "time_s",
+            "q1_deg",
+            "q2_deg",
+            "q3_deg",
+            "qd1_deg_s",
+            "qd2_deg_s",
+            "qd3_deg_s",
+            "qdd1_deg_s2",
+            "qdd2_deg_s2",
+            "qdd3_deg_s2",
+            "x_m",
+            "y_m",
+            "z_m",
+        ])?;
+        for p in &points {
+            out.serialize((p.time_s, p.angles_deg, p.velocities_deg_s, p.accelerations_deg_s2, p.end_point_m))?;
+        }
+        out.flush()?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn study(args: &StudyArgs) -> Result<ExitCode> {
+    if args.example {
+        print!("{}", Study::SHIPPED);
+        return Ok(ExitCode::SUCCESS);
+    }
+    let study = match &args.file {
+        Some(file) => Study::load(file)?,
+        None => Study::shipped(),
+    };
+    let bar = ProgressBar::new(study.cases() as u64).with_style(bar_style());
+    bar.set_message("cases");
+    let rows = study.run(|done| bar.set_position(done as u64))?;
+    bar.finish_and_clear();
+    let to: Box<dyn Write> = match &args.out {
+        Some(file) => Box::new(BufWriter::new(File::create(file).with_context(|| file.display().to_string())?)),
+        None => Box::new(std::io::stdout().lock()),
+    };
+    let mut out = csv::Writer::from_writer(to);
+    for row in &rows {
+        out.serialize(row)?;
+    }
+    out.flush()?;
+    let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();
+    eprintln!("{} cases, {refused} of them refused", rows.len());
+    Ok(ExitCode::SUCCESS)
+}
+
+fn exercises(name: Option<String>) -> Result<ExitCode> {
+    match name {
+        Some(name) => match Exercise::shipped_file(&name) {
+            Some(file) => print!("{file}"),
+            None => bail!("no exercise `{name}` is shipped: {}", Exercise::SHIPPED.join(", ")),
+        },
+        None => {
+            for name in Exercise::SHIPPED {
+                let exercise = Exercise::shipped(name)?;
+                println!("{name:<20} {} ({} s; {})", exercise.title(), exercise.duration_s(), exercise.source());
+            }
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn bar_style() -> ProgressStyle {
+    ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}").expect("the template is a constant")
 }

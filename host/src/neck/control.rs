@@ -5,7 +5,28 @@
 //! the same per degree, only its quantisation is finer. Duty steps are the actuator's and stay as they are.
 
 use fixed::types::{I16F48, I32F32};
+use serde::{Deserialize, Serialize};
 use twum_shared::step::{Config, ConfigError, ConfigSpec};
+
+/// The named controllers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Named {
+    /// [`ConfigSpec::THESIS`].
+    Thesis,
+    /// [`ConfigSpec::DEFAULT`].
+    Default,
+}
+
+impl Named {
+    /// The controller, tuned for [`TUNED_EDGES_PER_REV`].
+    pub const fn spec(self) -> ConfigSpec {
+        match self {
+            Self::Thesis => ConfigSpec::THESIS,
+            Self::Default => ConfigSpec::DEFAULT,
+        }
+    }
+}
 
 /// Edges a revolution of the encoder the named configurations are tuned for.
 pub const TUNED_EDGES_PER_REV: u32 = 400;

@@ -1,7 +1,9 @@
 //! What the joints have to bear: the head's weight, and the torque the path demands of the motors.
 
+use super::exercise::Exercise;
 use super::kinematics::JOINTS;
-use super::path::Motion;
+use super::path::{self, Motion};
+use crate::model::effects::{EffectSet, GravityLoad};
 
 /// Standard gravity, m/s².
 const GRAVITY_M_S2: f64 = 9.80665;
@@ -22,6 +24,29 @@ impl Head {
     /// Moment of inertia about the wrist's centre, across the neck, kg·m².
     pub fn inertia_kg_m2(&self) -> f64 {
         self.mass_kg * self.centre_m * self.centre_m
+    }
+
+    /// What the head adds to a joint's motor: an inertia, kg·m², and at joint 2 its weight as a load over the motor's angle.
+    ///
+    /// The inertia is the largest anywhere on the exercise's path: `I` at joint 2, `I·sin²θ2` at joint 1, none at joint 3.
+    pub(super) fn at_joint(&self, exercise: &Exercise, joint: usize) -> (f64, EffectSet) {
+        let mut effects = EffectSet::default();
+        if *self == Self::NONE {
+            return (0.0, effects);
+        }
+        let lean = |step: u32| path::motion(exercise, f64::from(step) * 0.01)[1].deg.to_radians().sin().powi(2);
+        let share = match joint {
+            0 => (0..=(exercise.duration_s() / 0.01) as u32).map(lean).fold(0.0, f64::max),
+            1 => {
+                // The effect's torque acts against positive rotation; gravity acts with it.
+                let torque_nm = -self.mass_kg * GRAVITY_M_S2 * self.centre_m;
+                effects.gravity_load =
+                    Some(GravityLoad { torque_nm, phase_rad: exercise.start_deg()[joint].to_radians() });
+                1.0
+            }
+            _ => 0.0,
+        };
+        (self.inertia_kg_m2() * share, effects)
     }
 
     /// Torque of gravity on joint 2 at its angle, N·m, positive in the joint's positive sense: it pulls the leaning neck

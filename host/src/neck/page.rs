@@ -65,7 +65,10 @@ fn exercise<'a>(session: &'a Session, score: &'a Score) -> Played<'a> {
         ["mean without correction".to_owned(), millimetres(score.uncorrected_mean_abs_error_m)],
     ];
     summary.extend(score.joints.iter().map(|joint| {
-        [format!("joint {}: mean, largest", joint.joint), format!("{:.2}°, {:.2}°", joint.mean_abs_error_deg, joint.max_error_deg)]
+        [
+            format!("joint {}: mean, largest", joint.joint),
+            format!("{:.2}°, {:.2}°", joint.mean_abs_error_deg, joint.max_error_deg),
+        ]
     }));
     Played {
         name: session.exercise.name(),
@@ -76,5 +79,59 @@ fn exercise<'a>(session: &'a Session, score: &'a Score) -> Played<'a> {
         true_deg: ticks.iter().map(|&tick| thousandths(session.joints_deg(tick))).collect(),
         error_mm: ticks.iter().map(|&tick| (session.error_m(tick) * 1e6).round() / 1e3).collect(),
         summary,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::parameters::Flavour;
+    use crate::neck::exercise::Exercise;
+    use crate::neck::fixture::{session, setup};
+
+    fn html(session: &Session) -> String {
+        let score = Score::of(session, &setup(Flavour::Physical));
+        page("Neck <1> @DATA@", "a & b", &[(session, &score)])
+    }
+
+    fn data(html: &str) -> serde_json::Value {
+        let (_, after) = html.split_once("<script type=\"application/json\" id=\"data\">").unwrap();
+        serde_json::from_str(after.split_once("</script>").unwrap().0).unwrap()
+    }
+
+    #[test]
+    fn nothing_is_fetched_and_text_is_escaped() {
+        let html = html(&session("rotation"));
+        assert!(html.contains("<h1>Neck &lt;1&gt; &#64;DATA&#64;</h1>") && html.contains("<p>a &amp; b</p>"));
+        for fetched in ["http", "src=", "href=", "@import", "url(", "fetch(", "import("] {
+            assert!(!html.contains(fetched), "{fetched}");
+        }
+    }
+
+    #[test]
+    fn the_poses_are_the_sessions() {
+        let session = session("flexion-extension");
+        let data = data(&html(&session));
+        let played = &data["exercises"][0];
+        assert_eq!(played["true_deg"].as_array().unwrap().len(), 22 * 50 + 1);
+        for index in [0, 75, 321, 1100] {
+            let tick = index * 40;
+            for joint in 0..JOINTS {
+                let near = |rows: &str, deg: f64| (played[rows][index][joint].as_f64().unwrap() - deg).abs() <= 5.1e-4;
+                assert!(near("true_deg", session.joints_deg(tick)[joint]));
+                assert!(near("reference_deg", session.reference_deg(tick)[joint]));
+            }
+            assert!((played["error_mm"][index].as_f64().unwrap() - session.error_m(tick) * 1e3).abs() <= 5.1e-4);
+        }
+    }
+
+    #[test]
+    fn a_name_cannot_end_the_data() {
+        let text = Exercise::shipped_file("rotation").unwrap().replace("name = \"hold\"", "name = \"</script><b>\"");
+        let exercise = Exercise::parse(&text, std::path::Path::new("x")).unwrap();
+        let session = setup(Flavour::Physical).simulate(&exercise).unwrap();
+        let html = html(&session);
+        assert!(!html.contains("</script><b>"));
+        assert_eq!(data(&html)["exercises"][0]["segments"][1]["name"], "</script><b>");
     }
 }

@@ -1,7 +1,8 @@
 //! Joint paths: quintics between way points with zero velocity and acceleration at each (thesis, section A.8.1).
 
 use super::exercise::Exercise;
-use super::kinematics::JOINTS;
+use super::kinematics::{JOINTS, Wrist};
+use serde::Serialize;
 use twum_shared::reference::{Reference, WayPoint};
 
 /// Where a joint has to be at one instant, and how it moves there.
@@ -42,6 +43,42 @@ fn quintic(from_deg: f64, to_deg: f64, elapsed_s: f64, duration_s: f64) -> Motio
         deg_s: distance / duration_s * 30.0 * (tau * (1.0 - tau)).powi(2),
         deg_s2: distance / duration_s.powi(2) * 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau),
     }
+}
+
+/// A point of an exercise's path, as `twum neck path` prints it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PathPoint {
+    /// Time from the start, s.
+    pub time_s: f64,
+    /// Joint angles, °.
+    pub angles_deg: [f64; JOINTS],
+    /// Joint velocities, °/s.
+    pub velocities_deg_s: [f64; JOINTS],
+    /// Joint accelerations, °/s².
+    pub accelerations_deg_s2: [f64; JOINTS],
+    /// End point in the base frame, m: x, y, z.
+    pub end_point_m: [f64; 3],
+}
+
+/// The path sampled at `rate_hz`, from the start to the end, both included.
+pub fn table(exercise: &Exercise, wrist: Wrist, rate_hz: f64) -> Vec<PathPoint> {
+    let duration_s = exercise.duration_s();
+    // The end is a point of its own where the rate does not meet it.
+    let inner = (duration_s * rate_hz - 1e-9).ceil().max(0.0) as u64;
+    let times = (0..inner).map(|index| index as f64 / rate_hz).chain(std::iter::once(duration_s));
+    times
+        .map(|time_s| {
+            let motions = motion(exercise, time_s);
+            let angles_deg = motions.map(|motion| motion.deg);
+            PathPoint {
+                time_s,
+                angles_deg,
+                velocities_deg_s: motions.map(|motion| motion.deg_s),
+                accelerations_deg_s2: motions.map(|motion| motion.deg_s2),
+                end_point_m: wrist.end_point_m(angles_deg).coords.into(),
+            }
+        })
+        .collect()
 }
 
 /// The same path as the firmware tracks it: way points to the nearest count of the joint's sensor, times to the µs.

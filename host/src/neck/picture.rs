@@ -66,3 +66,20 @@ fn ticks(session: &Session) -> impl Iterator<Item = usize> + use<> {
     let stride = ((STEP_S / session.tick_s).round() as usize).max(1);
     (0..session.len()).step_by(stride)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::neck::fixture::session;
+
+    #[test]
+    fn three_exercises_make_five_rows_of_three_panels() {
+        let sessions = ["flexion-extension", "lateral-flexion", "rotation"].map(session);
+        let svg = figure(&sessions.iter().collect::<Vec<_>>()).svg().unwrap();
+        for label in ["Flexion–extension", "Lateral flexion", "Rotation"] {
+            assert!(svg.contains(label), "{label}");
+        }
+        assert_eq!(svg.matches("end-point error (mm)").count(), 3);
+        assert_eq!(svg.matches("joint error (°)").count(), 3);
+    }
+}

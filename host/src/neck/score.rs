@@ -95,7 +95,7 @@ impl Score {
             end_point.add(session.error_m(tick));
             uncorrected
                 .add((session.wrist.end_point_m(drifted(reference, &setup.disturbance, time_s)) - wanted).norm());
-            let demand = setup.head.demand_nm(motions, setup.motor.rotor);
+            let demand = setup.head.demand_nm(motions, setup.motor.rotor());
             for joint in 0..JOINTS {
                 joints[joint].add((actual[joint] - reference[joint]).abs());
                 demand_nm[joint] = demand_nm[joint].max(demand[joint].abs());
@@ -110,7 +110,7 @@ impl Score {
                 mean_abs_error_deg: joints[joint].mean(),
                 max_error_deg: joints[joint].max,
                 peak_demand_nm: demand_nm[joint],
-                demand_over_stall: demand_nm[joint] / setup.motor.stall_nm,
+                demand_over_stall: demand_nm[joint] / setup.motor.stall_nm(),
                 mean_duty: over(drive.iter().map(|d| f64::from(d.abs())).sum()),
                 saturated_share: over(drive.iter().filter(|d| d.abs() >= 1.0).count() as f64),
             }

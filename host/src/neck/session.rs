@@ -1,6 +1,6 @@
 //! A session: one exercise, three joints, each a motor in its own position loop.
 
-use super::control::at_resolution;
+use super::control::{Named, at_resolution};
 use super::disturbance::Disturbance;
 use super::exercise::{Exercise, Problem};
 use super::joint::{JointTrace, Loop};
@@ -9,7 +9,7 @@ use super::load::Head;
 use super::motor::JointMotor;
 use super::path;
 use rayon::prelude::*;
-use twum_shared::step::{ConfigError, ConfigSpec};
+use twum_shared::step::ConfigError;
 
 /// Everything about a session but its exercise.
 #[derive(Debug, Clone)]
@@ -17,7 +17,7 @@ pub struct Setup {
     /// The motor at each joint.
     pub motor: JointMotor,
     /// The controller, tuned for 400 edges a revolution; see [`at_resolution`].
-    pub control: ConfigSpec,
+    pub control: Named,
     /// Resolution of the sensor at each joint, edges a revolution.
     pub edges_per_rev: u32,
     /// PWM frequency, Hz.
@@ -103,7 +103,7 @@ impl Setup {
                 return Err(SessionError::Bound { name, value, low, high, unit });
             }
         }
-        at_resolution(&self.control, self.edges_per_rev)
+        at_resolution(&self.control.spec(), self.edges_per_rev)
             .map(|_| ())
             .map_err(|source| SessionError::Control { edges_per_rev: self.edges_per_rev, source })
     }
@@ -114,11 +114,10 @@ impl Setup {
     /// When the exercise is too fast for the motor, or a quantity is out of bounds.
     pub fn simulate(&self, exercise: &Exercise) -> Result<Session, SessionError> {
         self.check()?;
-        exercise.check_speed(&self.motor.name, self.motor.no_load_deg_s).map_err(|problem| SessionError::Exercise {
-            exercise: exercise.name().to_owned(),
-            problem: Box::new(problem),
+        exercise.check_speed(self.motor.name(), self.motor.no_load_deg_s()).map_err(|problem| {
+            SessionError::Exercise { exercise: exercise.name().to_owned(), problem: Box::new(problem) }
         })?;
-        let config = at_resolution(&self.control, self.edges_per_rev)
+        let config = at_resolution(&self.control.spec(), self.edges_per_rev)
             .map_err(|source| SessionError::Control { edges_per_rev: self.edges_per_rev, source })?;
         let tick_s = f64::from(config.spec().period_us) * 1e-6;
         let ticks = (exercise.duration_s() / tick_s).round() as usize + 1;
@@ -135,9 +134,8 @@ impl Setup {
                     pwm_hz: self.pwm_hz,
                     ticks,
                 };
-                // Gravity acts on joint 2 alone, see [`Head::gravity_nm`]; a load counts against positive rotation.
-                let load_nm = |deg: f64| if joint == 1 { -self.head.gravity_nm(deg) } else { 0.0 };
-                run.run(&mut self.motor.plant(), load_nm)
+                let (added_kg_m2, effects) = self.head.at_joint(exercise, joint);
+                run.run(&mut self.motor.at_joint(added_kg_m2, &effects), &effects)
             })
             .collect();
         let joints = joints.try_into().expect("one trace was made for each joint");

@@ -1,0 +1,32 @@
+//! Sessions for tests.
+
+use super::control::Named;
+use super::disturbance::Disturbance;
+use super::exercise::Exercise;
+use super::kinematics::Wrist;
+use super::load::Head;
+use super::motor::JointMotor;
+use super::session::{DEFAULT_EDGES_PER_REV, Session, Setup};
+use crate::model::motor_plant::Solver;
+use crate::model::parameters::Flavour;
+
+/// The setup `twum neck` takes by itself, in a flavour.
+pub fn setup(flavour: Flavour) -> Setup {
+    Setup {
+        motor: JointMotor::load("pcbmotor-30mm", flavour, Solver::Averaged).unwrap(),
+        control: match flavour {
+            Flavour::Thesis => Named::Thesis,
+            Flavour::Physical => Named::Default,
+        },
+        edges_per_rev: DEFAULT_EDGES_PER_REV,
+        pwm_hz: 50.0,
+        disturbance: Disturbance::default(),
+        head: Head::NONE,
+        wrist: Wrist::default(),
+    }
+}
+
+/// A shipped exercise, simulated with it.
+pub fn session(exercise: &str) -> Session {
+    setup(Flavour::Physical).simulate(&Exercise::shipped(exercise).unwrap()).unwrap()
+}
