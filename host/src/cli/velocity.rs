@@ -9,7 +9,7 @@ use twum_host::record::measurement::{MANIFEST, Measurement, Run};
 use twum_host::report::speed::{Simulated, figure, findings, overview};
 use twum_host::signal::run::{EncoderErrors, Method, Motion, Options, Step, motion, thesis_steps};
 use twum_host::signal::score::score;
-use twum_host::signal::trial;
+use twum_host::signal::trial::{Encoder, Motion as Motions};
 use twum_host::signal::turn::TurnFit;
 use twum_host::signal::window::Order;
 
@@ -100,7 +100,9 @@ const TRIAL_SEEDS: u64 = 6;
 /// Runs `twum velocity`.
 pub fn run(args: Args) -> Result<ExitCode> {
     if args.trials {
-        print!("{}", score(&trial::Motion::all(), TRIAL_SEEDS)?);
+        for (name, encoder) in [("An ideal encoder", Encoder::IDEAL), ("A rough encoder", Encoder::ROUGH)] {
+            println!("# {name}\n\n{}", score(&Motions::all(), encoder, TRIAL_SEEDS)?);
+        }
         return Ok(ExitCode::SUCCESS);
     }
     let folder = args.folder.as_deref().expect("clap requires the folder without --trials");

@@ -80,6 +80,41 @@ impl std::fmt::Display for Motion {
     }
 }
 
+/// How an encoder and its capture depart from equal spacing and exact times.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Encoder {
+    /// Standard deviation of each boundary from equal spacing, the same every turn, in pitches.
+    pub irregularity_pitch: f64,
+    /// Shift of the odd boundaries against the even ones, in pitches.
+    pub odd_shift_pitch: f64,
+    /// Samples are taken up to this early or late, in µs.
+    pub sample_jitter_us: f64,
+    /// Edges are stamped up to this late or early, in µs.
+    pub time_jitter_us: f64,
+}
+
+impl Encoder {
+    /// Without a fault.
+    pub const IDEAL: Self =
+        Self { irregularity_pitch: 0.0, odd_shift_pitch: 0.0, sample_jitter_us: 0.0, time_jitter_us: 0.0 };
+    /// Worse than a good one: 2 % of a pitch irregular, the line high for 54 % of the time, samples 50 µs and edges 5 µs
+    /// off.
+    pub const ROUGH: Self =
+        Self { irregularity_pitch: 0.02, odd_shift_pitch: 0.08, sample_jitter_us: 50.0, time_jitter_us: 5.0 };
+
+    /// The boundaries of one turn, from their equally spaced places, in pitches.
+    fn boundaries(&self, random: &mut ChaCha8Rng) -> Vec<f64> {
+        (0..EDGES_PER_REV)
+            .map(|b| {
+                // Twelve uniform numbers make a normal one, within six deviations.
+                let normal: f64 = (0..12).map(|_| random.random_range(-0.5..0.5)).sum();
+                let side = if b % 2 == 1 { 0.5 } else { -0.5 };
+                self.irregularity_pitch * normal + side * self.odd_shift_pitch
+            })
+            .collect()
+    }
+}
+
 /// A motion carried out once, at a phase of the encoder and of the ripple drawn from a seed.
 #[derive(Debug, Clone)]
 pub struct Trial {
@@ -92,8 +127,13 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// Carries out `motion`: 3 s, and 10 s below 10 rpm.
+    /// Carries out `motion` before an ideal encoder: 3 s, and 10 s below 10 rpm.
     pub fn new(motion: Motion, seed: u64) -> Self {
+        Self::before(Encoder::IDEAL, motion, seed)
+    }
+
+    /// Carries out `motion` before an encoder: 3 s, and 10 s below 10 rpm.
+    pub fn before(encoder: Encoder, motion: Motion, seed: u64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let pitch_rad = std::f64::consts::TAU / f64::from(EDGES_PER_REV);
         let start_rad = random.random_range(0.0..1.0) * pitch_rad;
@@ -104,7 +144,19 @@ impl Trial {
         let speed_at = |t: f64, angle: f64| rpm_at(t, angle) / super::RAD_S_TO_RPM;
         // The record's clock starts with its first sample.
         let record_us = |t: f64| (t - sample_offset_s) * 1e6;
-        let cell = |angle: f64| (angle / pitch_rad).floor() as i64;
+        let offsets = encoder.boundaries(&mut random);
+        let place = |b: i64| (b as f64 + offsets[b.rem_euclid(i64::from(EDGES_PER_REV)) as usize]) * pitch_rad;
+        let cell = |angle: f64| {
+            let mut cell = (angle / pitch_rad).floor() as i64;
+            while angle >= place(cell + 1) {
+                cell += 1;
+            }
+            while angle < place(cell) {
+                cell -= 1;
+            }
+            cell
+        };
+        let mut late = |most_us: f64| if most_us > 0.0 { random.random_range(-most_us..most_us) } else { 0.0 };
 
         let mut trial = Self {
             length_s,
@@ -126,15 +178,17 @@ impl Trial {
             }
             if next_sample_s < t + STEP_S {
                 let at = angle + (next_sample_s - t) / STEP_S * (next - angle);
-                trial.levels.push(cell(at).rem_euclid(2) == 1);
+                let sampled_at = at + late(encoder.sample_jitter_us) * 1e-6 * (next - angle) / STEP_S;
+                trial.levels.push(cell(sampled_at).rem_euclid(2) == 1);
                 trial.position_rad.push(at);
                 trial.speed_rpm.push(rpm_at(next_sample_s, at));
                 next_sample_s = sample_offset_s + trial.levels.len() as f64 * PERIOD_US * 1e-6;
             }
             if cell(next) != cell(angle) {
-                let boundary = cell(next).max(cell(angle)) as f64 * pitch_rad;
+                let boundary = place(cell(next).max(cell(angle)));
                 let at_s = t + STEP_S * (boundary - angle) / (next - angle);
-                trial.edges.push(LevelEdge { time_us: record_us(at_s).round(), level: cell(next).rem_euclid(2) == 1 });
+                let time_us = (record_us(at_s) + late(encoder.time_jitter_us)).round();
+                trial.edges.push(LevelEdge { time_us, level: cell(next).rem_euclid(2) == 1 });
             }
             angle = next;
         }

@@ -33,9 +33,10 @@ const CELL_EVERY_S: f64 = 0.02;
 /// overshoot).
 const SWEEPS: usize = 3;
 const DAMPING: f64 = 0.6;
-/// Standard deviation assumed of the boundaries from equal spacing in the first round, in pitches; bounds of what is
+/// Standard deviation assumed of the boundaries from equal spacing in the first round, in pitches, rather too large (an
+/// irregularity taken for a change of speed is not found again); bounds of what is
 /// found after it.
-const FIRST_IRREGULARITY: f64 = 0.01;
+const FIRST_IRREGULARITY: f64 = 0.03;
 const IRREGULARITY_RANGE: (f64, f64) = (2e-4, 0.2);
 /// Fewer edges do not show the encoder's errors.
 const EDGES_FOR_ENCODER_ERRORS: usize = 40;
