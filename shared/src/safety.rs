@@ -86,7 +86,8 @@ mod tests {
     #[test]
     fn the_default_limits_are_valid_and_each_zero_is_refused() {
         assert_eq!(Limits::DEFAULT.validate(), Ok(()));
-        let broken: [(fn(&mut Limits), &str); 12] = [
+        type Change = fn(&mut Limits);
+        let broken: [(Change, &str); 12] = [
             (|l| l.command_timeout_ms = 0, "command_timeout_ms"),
             (|l| l.stall_duty = 32_769, "stall_duty"),
             (|l| l.stall_ms = 0, "stall_ms"),

@@ -183,7 +183,10 @@ fn speed(common: &Common, duty: f64) -> Result<()> {
     if common.json {
         print_json(&speed)?;
     } else {
-        println!("speed           {:.4} rad/s = {:.3} rpm (mean over the last 20 %)", speed.speed_rad_s, speed.speed_rpm);
+        println!(
+            "speed           {:.4} rad/s = {:.3} rpm (mean over the last 20 %)",
+            speed.speed_rad_s, speed.speed_rpm
+        );
         println!("wave amplitude  {:.4e} m", speed.wave_amplitude_m);
         println!("rotor height    {:.4e} m", speed.rotor_height_m);
         let times = setup.seconds / speed.wall_s;
@@ -251,7 +254,9 @@ fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
     } else {
         let rows: Vec<_> = speeds
             .iter()
-            .map(|(load, s)| vec![format!("{:.4}", load * 1e3), format!("{:.4}", s.speed_rad_s), format!("{:.3}", s.speed_rpm)])
+            .map(|(load, s)| {
+                vec![format!("{:.4}", load * 1e3), format!("{:.4}", s.speed_rad_s), format!("{:.3}", s.speed_rpm)]
+            })
             .collect();
         print_table(&["mN·m", "rad/s", "rpm"], &rows);
         eprintln!("the contact transmits at most {:.3} mN·m", stall * 1e3);
@@ -309,7 +314,10 @@ fn follow(
         print_json(&LoopAnswer { following, ticks: trace.len(), wall_s: began.elapsed().as_secs_f64() })?;
     } else {
         println!("counted  {:.3} deg2 MSE, {:.3} deg mean |error|", following.mse_deg2, following.mean_abs_deg);
-        println!("true     {:.3} deg2 MSE, {:.3} deg mean |error|", following.true_mse_deg2, following.true_mean_abs_deg);
+        println!(
+            "true     {:.3} deg2 MSE, {:.3} deg mean |error|",
+            following.true_mse_deg2, following.true_mean_abs_deg
+        );
         println!("the count ended {} counts off the true position", following.miscount);
     }
     if let Some(path) = csv {

@@ -97,7 +97,11 @@ pub fn run(program: &LoopProgram, plant: &mut impl Plant, effects: &EffectSet) -
         let duty = f64::from(outputs.on_steps) / f64::from(spec.duty_steps);
         late.push_back((duty, outputs.direction));
         let (applied, direction) = late.pop_front().unwrap_or((duty, outputs.direction));
-        if tick == 0 { pwm.begin(applied, direction) } else { pwm.command(applied, direction) }
+        if tick == 0 {
+            pwm.begin(applied, direction)
+        } else {
+            pwm.command(applied, direction)
+        }
         trace.push(Tick {
             time_s: now_us as f64 * 1e-6,
             target: target.position,

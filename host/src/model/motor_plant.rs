@@ -215,7 +215,9 @@ impl Plant for MotorPlant {
         }
         let now_s = self.time_s();
         let modulation = self.modulation(drive);
-        if let (Model::Averaged(model), true) = (&mut self.model, self.longest_s.is_infinite() && until_s - now_s > WORTH_REMEMBERING_S) {
+        if let (Model::Averaged(model), true) =
+            (&mut self.model, self.longest_s.is_infinite() && until_s - now_s > WORTH_REMEMBERING_S)
+        {
             let before = (model.time_s(), model.position_rad());
             model.modulate(&modulation);
             model.advance_remembering(until_s, drive, observe);
