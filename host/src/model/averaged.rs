@@ -8,6 +8,7 @@
 //! Each step is exponential: exact for a frozen contact, so it is stable at any size and the steps follow the changes, not
 //! the fastest rate.
 
+use super::arccosine::acos;
 use super::carrier::CREEP_RAD_S;
 use super::contact::Contact;
 use super::half_contact_table::HalfContactTable;
@@ -20,6 +21,8 @@ use std::f64::consts::PI;
 const CHANGE: f64 = 0.06;
 /// Longest step while anything changes (s).
 const LONGEST_S: f64 = 1e-3;
+/// Shortest step (s): a bound on the work, whatever the parameters.
+const SHORTEST_S: f64 = 1e-7;
 /// Changes smaller than this, as the same share, over all that is left of an interval are none.
 const STILL: f64 = 1e-5;
 
@@ -346,7 +349,7 @@ impl Averaged {
     fn feedback(&self, pressed: &Pressed, ratio: f64) -> (f64, f64) {
         let Pressed { phi, zeta, work, .. } = *pressed;
         let clipped = ratio.clamp(-1.0, 1.0);
-        let (psi, cos) = if clipped <= zeta { (phi, zeta.max(-1.0)) } else { (clipped.acos(), clipped) };
+        let (psi, cos) = if clipped <= zeta { (phi, zeta.max(-1.0)) } else { (acos(clipped), clipped) };
         let sin = (1.0 - cos * cos).max(0.0).sqrt();
         let g1 = 2.0 * (psi + sin * cos - 2.0 * zeta * sin) - work;
         let g2 = match self.flavour {
@@ -506,6 +509,7 @@ impl Averaged {
             h = longest;
         }
 
+        h = h.max(SHORTEST_S).min(longest);
         let half = self.relax(&now, 0.5 * h);
         let middle = self.field(half, source, self.turning);
         self.waves = self.relax(&middle, h);
@@ -661,7 +665,7 @@ impl Averaged {
             return longest;
         }
         let period = (stiffness * c.inertia_inv).sqrt();
-        let h = longest.min(0.15 / period);
+        let h = longest.min((0.15 / period).max(1e-5));
         let v = self.speed_rad_s;
         let bent = self.bristle_rad;
         let slide = stiffness * v.abs() / limit.max(1e-12);
@@ -731,7 +735,7 @@ fn share(ratio: f64, phi: f64, zeta: f64, beta: f64) -> (f64, f64) {
     if ratio >= 1.0 || phi <= 0.0 {
         return (-1.0, 0.0);
     }
-    let psi = ratio.acos();
+    let psi = acos(ratio);
     let sin = (1.0 - ratio * ratio).sqrt();
     (2.0 * (sin - zeta * psi) / beta - 1.0, -2.0 * (ratio - zeta) / (beta * sin.max(1e-3)))
 }

@@ -4,6 +4,7 @@
 //! velocity (m/s), the rotor's angle θ (rad) and speed (rad/s). The listing's system matrices are section A.6.1's; the input
 //! vector they lack is η·V + FN + FT on each mode, Fint − Fext on the height and Tint − Tload on the angle.
 
+use super::arccosine::acos;
 use super::contact::Contact;
 use super::modulation::Modulation;
 use super::parameters::{Flavour, Parameters};
@@ -47,10 +48,10 @@ struct Coefficients {
     tangential: f64,
     /// 2·Rr·R0·Cn (N/m).
     force: f64,
-    /// Crest speed at amplitude·ω = 1, and what divides the rotor's speed (rad/s per m/s).
+    /// Rotor speed that keeps up with a crest moving at 1 m/s times h·k·Rr (rad/s per m/s).
     rotor_per_crest: f64,
-    /// The listing's R0² in place of R0, and ω: rotor speed over (amplitude × this) is cos ψ (rad/s per m).
-    listed_rotor_per_amplitude: f64,
+    /// The listing's stick condition, R0² in the place of R0: this times speed over amplitude is cos ψ (m per rad/s).
+    listed_amplitude_per_rotor: f64,
     wmin: f64,
     shape_inv: f64,
     radius: f64,
@@ -79,7 +80,7 @@ impl Coefficients {
             tangential: c.tangential_n_m / p.modal_mass_kg,
             force: c.force_n_m,
             rotor_per_crest: c.surface / c.radius_m,
-            listed_rotor_per_amplitude: c.surface * p.omega() / (c.radius_m * c.radius_m),
+            listed_amplitude_per_rotor: c.radius_m * c.radius_m / (c.surface * p.omega()),
             wmin: p.wmin_m(),
             shape_inv: 1.0 / c.shape,
             radius: c.radius_m,
@@ -296,11 +297,12 @@ fn thesis(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
     let travelling = (w1 * w1 + w2 * w2).sqrt();
     let amplitude = travelling.max(c.wmin);
     let sense = if w1 * v2 - w2 * v1 < 0.0 { -1.0 } else { 1.0 };
-    let cx = (z * c.shape_inv / amplitude).clamp(-1.0, 1.0);
-    let phi = cx.acos();
+    let inverse = 1.0 / amplitude;
+    let cx = (z * c.shape_inv * inverse).clamp(-1.0, 1.0);
+    let phi = acos(cx);
     let sx = (1.0 - cx * cx).sqrt();
-    let ratio = (sense * speed / (c.listed_rotor_per_amplitude * amplitude)).clamp(-1.0, 1.0);
-    let (psi, cs) = if ratio <= cx { (phi, cx) } else { (ratio.acos(), ratio) };
+    let ratio = (sense * speed * c.listed_amplitude_per_rotor * inverse).clamp(-1.0, 1.0);
+    let (psi, cs) = if ratio <= cx { (phi, cx) } else { (acos(ratio), ratio) };
     let ss = (1.0 - cs * cs).sqrt();
 
     let g1 = 2.0 * (psi - 0.5 * phi + ss * cs - 0.5 * sx * cx - cx * (2.0 * ss - sx));
@@ -336,10 +338,10 @@ fn physical(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
     let sense = if crest < 0.0 { -1.0 } else { 1.0 };
     let zeta = z * c.shape_inv * inverse;
     let cx = zeta.clamp(-1.0, 1.0);
-    let phi = cx.acos();
+    let phi = acos(cx);
     let sx = (1.0 - cx * cx).sqrt();
     let ratio = (sense * speed / crest.abs().max(CREEP_RAD_S)).clamp(-1.0, 1.0);
-    let (psi, cs) = if ratio <= cx { (phi, cx) } else { (ratio.acos(), ratio) };
+    let (psi, cs) = if ratio <= cx { (phi, cx) } else { (acos(ratio), ratio) };
     let ss = (1.0 - cs * cs).sqrt();
     // Above the crest nothing touches: φ = 0 and every term below vanishes, for which ζ has to stop at 1.
     let zeta = zeta.min(1.0);

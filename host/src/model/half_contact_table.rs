@@ -51,14 +51,13 @@ impl HalfContactTable {
 
     fn build() -> Self {
         // Value and slope of φ and cos φ at each node; dφ/dq = 1/(φ·sin φ).
-        let node = |x: f64, q: f64, dq: f64, at_edge: (f64, f64)| {
+        let node = |q: f64, dq: f64, at_edge: (f64, f64)| {
             let phi = solve(q);
             let product = phi * phi.sin();
-            if product < 1e-9 {
+            if product < 1e-6 {
                 let (phi, slope) = at_edge;
                 [phi, slope, phi.cos(), -phi.sin() * slope]
             } else {
-                let _ = x;
                 let slope = dq / product;
                 [phi, slope, phi.cos(), -phi.sin() * slope]
             }
@@ -67,7 +66,7 @@ impl HalfContactTable {
         let low = (0..=NODES)
             .map(|i| {
                 let x = i as f64 * low_step;
-                node(x, x * x * x / 3.0, x * x, (0.0, 1.0))
+                node(x * x * x / 3.0, x * x, (0.0, 1.0))
             })
             .collect();
         let high_step = high_variable(SPLIT) / NODES as f64;
@@ -75,7 +74,7 @@ impl HalfContactTable {
             .map(|i| {
                 let x = i as f64 * high_step;
                 // Near π: q ≈ π − π·(π − φ)²/2, so φ ≈ π − √2·x.
-                node(x, PI * (1.0 - x * x), -2.0 * PI * x, (PI, -std::f64::consts::SQRT_2))
+                node(PI * (1.0 - x * x), -2.0 * PI * x, (PI, -std::f64::consts::SQRT_2))
             })
             .collect();
         HalfContactTable { low, high }

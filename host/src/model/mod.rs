@@ -24,6 +24,7 @@
 //! it, and [`simulate`] the three together. `docs/model.md` has the equations, what was corrected, and how far the models are apart.
 
 pub mod actuator;
+mod arccosine;
 pub mod averaged;
 pub mod carrier;
 pub mod closed_loop;
@@ -39,3 +40,6 @@ pub mod plant;
 pub mod sensor;
 pub mod simulate;
 pub mod study;
+
+#[cfg(test)]
+mod tests;

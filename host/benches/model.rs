@@ -1,0 +1,76 @@
+//! How fast the motor models are: `cargo bench -p twum-host --bench model`.
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use std::hint::black_box;
+use twum_host::model::averaged::Averaged;
+use twum_host::model::carrier::{Carrier, STEP_S};
+use twum_host::model::effects::EffectSet;
+use twum_host::model::modulation::Modulation;
+use twum_host::model::motor::Motor;
+use twum_host::model::motor_plant::{History, Solver};
+use twum_host::model::parameters::Flavour;
+use twum_host::model::plant::{Direction, Drive};
+use twum_host::model::simulate::{PlantModel, Program, Trace, simulate_into};
+
+const FLAVOURS: [Flavour; 2] = [Flavour::Thesis, Flavour::Physical];
+
+/// RK4 steps a second at 0.1 µs, rotor turning.
+fn carrier(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("carrier");
+    let steps = 20_000;
+    group.throughput(Throughput::Elements(steps)).sample_size(20);
+    for flavour in FLAVOURS {
+        let mut model = Carrier::new(Motor::pcbmotor_30mm().parameters(flavour), flavour);
+        model.run(0.02, Drive::ON, &Modulation::NONE);
+        group.bench_function(flavour.to_string(), |bencher| {
+            bencher.iter(|| model.run(steps as f64 * STEP_S, black_box(Drive::ON), &Modulation::NONE));
+        });
+    }
+    group.finish();
+}
+
+/// PWM periods of 20 ms a second, every one integrated: times 0.02 it is times real time.
+fn averaged(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("averaged, every period integrated");
+    group.throughput(Throughput::Elements(1)).sample_size(20);
+    for flavour in FLAVOURS {
+        let mut model = Averaged::new(Motor::pcbmotor_30mm().parameters(flavour), flavour);
+        let off = Drive { duty: 0.5, ..Drive::OFF };
+        let on = Drive { duty: 0.5, ..Drive::ON };
+        group.bench_function(format!("{flavour}, duty 0.5"), |bencher| {
+            bencher.iter(|| {
+                let now = model.time_s();
+                model.advance(now + 0.01, black_box(off), &mut |_| ());
+                model.advance(now + 0.02, black_box(on), &mut |_| ());
+            });
+        });
+    }
+    group.finish();
+}
+
+/// A run of 5 s with encoder edges, as a search makes them.
+fn runs(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("simulated run of 5 s");
+    group.sample_size(20);
+    let mut trace = Trace::default();
+    for flavour in FLAVOURS {
+        let parameters = Motor::pcbmotor_30mm().parameters(flavour);
+        let model = PlantModel::Motor { parameters, flavour, solver: Solver::Averaged };
+        for duty in [0.5, 1.0] {
+            let program = Program::constant(duty, Direction::Cw, 5.0, 5.0);
+            group.bench_function(format!("{flavour}, duty {duty}"), |bencher| {
+                bencher.iter(|| simulate_into(&program, &model, &EffectSet::default(), History::default(), &mut trace));
+            });
+        }
+        let mut effects = EffectSet::default();
+        effects.set("preload-runout", &[0.1, 0.0]).expect("inside its bounds");
+        let program = Program::constant(0.5, Direction::Cw, 5.0, 5.0);
+        group.bench_function(format!("{flavour}, duty 0.5, preload-runout"), |bencher| {
+            bencher.iter(|| simulate_into(&program, &model, &effects, History::default(), &mut trace));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, carrier, averaged, runs);
+criterion_main!(benches);
