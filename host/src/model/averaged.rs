@@ -170,24 +170,44 @@ const MEMORY: usize = 4;
 
 /// What decides how the rotor moves on, its angle aside.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Memo {
+pub(super) struct Momentary {
     waves: [Complex; 2],
     speed_rad_s: f64,
     turning: f64,
     bristle_rad: f64,
 }
 
+impl Momentary {
+    /// No wave, no motion.
+    pub(super) const REST: Momentary =
+        Momentary { waves: [Complex::ZERO; 2], speed_rad_s: 0.0, turning: 0.0, bristle_rad: 0.0 };
+
+    pub(super) fn at_rest(&self) -> bool {
+        *self == Momentary::REST
+    }
+
+    /// Weighted mean; the weights sum to 1.
+    pub(super) fn mean(parts: impl Iterator<Item = (Momentary, f64)>) -> Momentary {
+        parts.fold(Momentary::REST, |sum, (part, weight)| Momentary {
+            waves: [0, 1].map(|i| sum.waves[i].plus(part.waves[i].scaled(weight))),
+            speed_rad_s: sum.speed_rad_s + weight * part.speed_rad_s,
+            turning: sum.turning + weight * part.turning,
+            bristle_rad: sum.bristle_rad + weight * part.bristle_rad,
+        })
+    }
+}
+
 /// A stretch under constant drive: from where, what it was, how it ended.
 #[derive(Debug, Clone)]
 struct Stretch {
-    start: Memo,
+    start: Momentary,
     duration_s: f64,
     level: f64,
     sense: f64,
     modulation: Modulation,
     /// End of each step after the start (s), angle turned since the start (rad), speed (rad/s).
     steps: Vec<(f64, f64, f64)>,
-    end: Memo,
+    end: Momentary,
 }
 
 /// The averaged model of one motor.
@@ -291,6 +311,25 @@ impl Averaged {
         self.speed_rad_s = speed_rad_s;
     }
 
+    pub(super) fn momentary(&self) -> Momentary {
+        Momentary {
+            waves: self.waves,
+            speed_rad_s: self.speed_rad_s,
+            turning: self.turning,
+            bristle_rad: self.bristle_rad,
+        }
+    }
+
+    /// Goes on from elsewhere.
+    pub(super) fn resume(&mut self, time_s: f64, position_rad: f64, from: Momentary) {
+        self.time_s = time_s;
+        self.position_rad = position_rad;
+        self.waves = from.waves;
+        self.speed_rad_s = from.speed_rad_s;
+        self.turning = from.turning;
+        self.bristle_rad = from.bristle_rad;
+    }
+
     /// Takes over what the effects change.
     pub fn modulate(&mut self, modulation: &Modulation) {
         if *modulation != self.modulation {
@@ -367,12 +406,7 @@ impl Averaged {
     /// As [`Averaged::advance`], remembering what it did: a PWM period that starts from the same state under the same drive as one
     /// before is replayed, not computed. A motor that stops in every off part repeats itself exactly.
     pub fn advance_remembering(&mut self, until_s: f64, drive: Drive, observe: &mut dyn FnMut(&Segment)) {
-        let start = Memo {
-            waves: self.waves,
-            speed_rad_s: self.speed_rad_s,
-            turning: self.turning,
-            bristle_rad: self.bristle_rad,
-        };
+        let start = self.momentary();
         let (start_s, start_rad) = (self.time_s, self.position_rad);
         let duration_s = until_s - start_s;
         if duration_s <= 0.0 {
@@ -407,12 +441,8 @@ impl Averaged {
                 };
                 observe(&last);
             }
-            self.time_s = until_s;
-            self.position_rad = last.end_rad;
-            self.waves = stretch.end.waves;
-            self.speed_rad_s = stretch.end.speed_rad_s;
-            self.turning = stretch.end.turning;
-            self.bristle_rad = stretch.end.bristle_rad;
+            let end = stretch.end;
+            self.resume(until_s, last.end_rad, end);
             return;
         }
         let mut steps = Vec::new();
@@ -420,12 +450,7 @@ impl Averaged {
             steps.push((segment.end_s - start_s, segment.end_rad - start_rad, segment.end_rad_s));
             observe(segment);
         }) {}
-        let end = Memo {
-            waves: self.waves,
-            speed_rad_s: self.speed_rad_s,
-            turning: self.turning,
-            bristle_rad: self.bristle_rad,
-        };
+        let end = self.momentary();
         let stretch = Stretch {
             start,
             duration_s,

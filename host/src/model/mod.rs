@@ -26,6 +26,7 @@
 pub mod actuator;
 mod arccosine;
 pub mod averaged;
+mod blend;
 pub mod carrier;
 pub mod closed_loop;
 pub mod contact;

@@ -1,6 +1,7 @@
 //! A travelling-wave motor behind the plant seam: either model, with the effects that live in the motor.
 
 use super::averaged::Averaged;
+use super::blend::Blend;
 use super::carrier::Carrier;
 use super::effects::EffectSet;
 use super::modulation::Modulation;
@@ -55,6 +56,10 @@ pub struct MotorPlant {
     longest_s: f64,
     /// Whether any effect of the plant is present.
     changes: bool,
+    /// Where effects change a motor slowly that stops in every period.
+    blend: Option<Box<Blend>>,
+    /// Angle turned in the last on part (rad): half of it ahead is where an angle-dependent effect is looked at.
+    last_turn_rad: f64,
 }
 
 impl MotorPlant {
@@ -78,7 +83,13 @@ impl MotorPlant {
             || effects.direction_asymmetry.is_some()
             || effects.stribeck_friction.is_some()
             || effects.presliding.is_some();
+        let averaged = matches!(solver, Solver::Averaged).then(|| Averaged::new(parameters, flavour));
+        // What changes within one part of a period has to be integrated through it.
+        let quick = effects.supply_sag.is_some() || effects.frequency_settling.is_some_and(|e| e.tau_s < 0.01);
+        let blends = moving && !quick && flavour == Flavour::Physical && effects.presliding.is_none();
         MotorPlant {
+            blend: averaged.as_ref().filter(|_| blends).map(|model| Box::new(Blend::new(model))),
+            last_turn_rad: 0.0,
             model: match solver {
                 Solver::Averaged => Model::Averaged(Box::new(Averaged::new(parameters, flavour))),
                 Solver::Carrier => Model::Carrier(Box::new(Carrier::new(parameters, flavour)), 0.0),
@@ -122,9 +133,9 @@ impl MotorPlant {
         }
     }
 
-    fn modulation(&self, drive: Drive) -> Modulation {
+    fn modulation(&self, drive: Drive, angle: f64) -> Modulation {
         let e = &self.effects;
-        let (time, angle) = (self.time_s(), self.position_rad());
+        let time = self.time_s();
         let sense = drive.sign();
         let mut m = Modulation::NONE;
         if let Some(e) = e.resonance_heating {
@@ -171,6 +182,25 @@ impl MotorPlant {
         m
     }
 
+    /// Advances by blending, where that is possible; see [`Blend`].
+    fn blended(&mut self, until_s: f64, drive: Drive, observe: &mut dyn FnMut(&Segment)) -> bool {
+        if self.blend.is_none() {
+            return false;
+        }
+        let ahead_rad = if drive.level > 0.0 { 0.5 * self.last_turn_rad * drive.sign() } else { 0.0 };
+        let modulation = self.modulation(drive, self.position_rad() + ahead_rad);
+        let before = (self.time_s(), self.position_rad());
+        let (Some(blend), Model::Averaged(model)) = (&mut self.blend, &mut self.model) else { return false };
+        if !blend.advance(model, until_s, drive, &modulation, observe) {
+            return false;
+        }
+        if drive.level > 0.0 {
+            self.last_turn_rad = (self.position_rad() - before.1).abs();
+        }
+        self.remember(before, drive);
+        true
+    }
+
     /// Follows what has slow memory since a time (s) and an angle (rad).
     fn remember(&mut self, (since_s, since_rad): (f64, f64), drive: Drive) {
         let h = self.time_s() - since_s;
@@ -214,7 +244,10 @@ impl Plant for MotorPlant {
             self.began_s = self.time_s();
         }
         let now_s = self.time_s();
-        let modulation = self.modulation(drive);
+        if until_s - now_s > WORTH_REMEMBERING_S && self.blended(until_s, drive, observe) {
+            return;
+        }
+        let modulation = self.modulation(drive, self.position_rad());
         if let (Model::Averaged(model), true) =
             (&mut self.model, self.longest_s.is_infinite() && until_s - now_s > WORTH_REMEMBERING_S)
         {
@@ -225,7 +258,7 @@ impl Plant for MotorPlant {
             return;
         }
         loop {
-            let modulation = if self.changes { self.modulation(drive) } else { Modulation::NONE };
+            let modulation = if self.changes { self.modulation(drive, self.position_rad()) } else { Modulation::NONE };
             let longest = self.longest_s;
             let mut last = None;
             let mut watch = |segment: &Segment| {

@@ -290,6 +290,31 @@ fn present_effects_show() {
     }
 }
 
+/// Blended periods against every period integrated in full: a duty so high that the rotor never stops integrates, so the same
+/// effect is forced through the long way by a harmless presliding, which cannot be blended.
+#[test]
+fn blending_is_as_good_as_integrating() {
+    let p = parameters(Flavour::Physical);
+    let model = PlantModel::Motor { parameters: p, flavour: Flavour::Physical, solver: Solver::Averaged };
+    let program = Program::constant(0.4, Direction::Cw, 2.0, 2.1);
+    let cases: [(&str, &[f64]); 5] = [
+        ("resonance-heating", &[200.0, 1.0]),
+        ("frequency-settling", &[-400.0, 0.05]),
+        ("preload-runout", &[0.15, 1.0]),
+        ("run-in-wear", &[0.03, 0.5]),
+        ("gravity-load", &[2e-3, 0.5]),
+    ];
+    for (name, values) in cases {
+        let mut effects = EffectSet::default();
+        effects.set(name, values).unwrap();
+        let blended = simulate(&program, &model, &effects, History::default());
+        effects.set("presliding", &[0.0, 1e-3]).unwrap();
+        let integrated = simulate(&program, &model, &effects, History::default());
+        let (a, b) = (blended.end_rad, integrated.end_rad);
+        assert!((a / b - 1.0).abs() < 1e-3, "{name}: {a} and {b} rad");
+    }
+}
+
 #[test]
 fn a_resting_contact_springs_under_a_load() {
     let p = parameters(Flavour::Physical).assign(&["Tload=5e-3"]).unwrap();
