@@ -68,10 +68,10 @@ impl Pwm {
     /// The duty the driver works with: quantised, less the dead zone.
     fn effective(&self, duty: f64) -> f64 {
         let mut u = duty.clamp(0.0, 1.0);
-        if let Some(e) = self.effects.duty_quantisation {
-            if e.step > 0.0 {
-                u = ((u / e.step).round() * e.step).min(1.0);
-            }
+        if let Some(e) = self.effects.duty_quantisation
+            && e.step > 0.0
+        {
+            u = ((u / e.step).round() * e.step).min(1.0);
         }
         if let Some(e) = self.effects.dead_zone {
             u = (u - e.threshold_duty).max(0.0);

@@ -499,9 +499,9 @@ impl Averaged {
         let forced = usize::from(drive.sign() < 0.0);
         let source = [0, 1].map(|i| if i == forced { drive.level * c.source } else { 0.0 });
         let gone = self.gone_m();
-        for i in 0..2 {
-            if source[i] == 0.0 && self.waves[i].square() < gone * gone {
-                self.waves[i] = Complex::ZERO;
+        for (wave, source) in self.waves.iter_mut().zip(source) {
+            if source == 0.0 && wave.square() < gone * gone {
+                *wave = Complex::ZERO;
             }
         }
         if source == [0.0; 2] && self.waves == [Complex::ZERO; 2] {

@@ -164,11 +164,11 @@ impl MotorPlant {
             m.stribeck_nm = e.torque_nm;
             m.stribeck_rad_s = e.speed_rad_s;
         }
-        if let Some(e) = e.presliding {
-            if e.compliance_rad_nm > 0.0 {
-                m.bristle_nm_rad = 1.0 / e.compliance_rad_nm;
-                m.bristle_nms_rad = e.damping_nms;
-            }
+        if let Some(e) = e.presliding
+            && e.compliance_rad_nm > 0.0
+        {
+            m.bristle_nm_rad = 1.0 / e.compliance_rad_nm;
+            m.bristle_nms_rad = e.damping_nms;
         }
         if let Some(e) = e.gravity_load {
             m.load_nm += e.torque_nm * (angle + e.phase_rad).sin();

@@ -307,7 +307,8 @@ impl Parameters {
 
     /// `Vmax`: amplitude of the supply (V). Section A.4 divides by 0.7071 rather than by 1/√2.
     pub fn vmax(&self) -> f64 {
-        self.vrms_v / 0.7071
+        // The listing's rounding, kept: its anchors depend on it.
+        self.vrms_v * (10_000.0 / 7071.0)
     }
 
     /// `k`: angular wavenumber round the contact circle (rad/m), n/R0.

@@ -158,10 +158,10 @@ pub fn record(edges: &mut Vec<Edge>, end_s: f64, effects: &EffectSet) -> f64 {
         }
         end_s *= 1.0 + e.error;
     }
-    if let Some(e) = effects.dropped_samples {
-        if e.length_s > 0.0 {
-            end_s = drop_stretches(edges, end_s, e.length_s, e.first_s, e.every_s);
-        }
+    if let Some(e) = effects.dropped_samples
+        && e.length_s > 0.0
+    {
+        end_s = drop_stretches(edges, end_s, e.length_s, e.first_s, e.every_s);
     }
     end_s
 }
@@ -195,9 +195,9 @@ fn drop_stretches(edges: &mut Vec<Edge>, end_s: f64, length_s: f64, first_s: f64
 
 /// After a gap the line is seen at its level behind the gap: an edge there if an odd number was lost.
 fn close(kept: &mut Vec<Edge>, last_lost: Option<Edge>, at_s: f64) {
-    if let Some(lost) = last_lost {
-        if kept.last().map_or(!lost.level, |edge| edge.level) != lost.level {
-            kept.push(Edge { time_s: at_s, ..lost });
-        }
+    if let Some(lost) = last_lost
+        && kept.last().map_or(!lost.level, |edge| edge.level) != lost.level
+    {
+        kept.push(Edge { time_s: at_s, ..lost });
     }
 }
