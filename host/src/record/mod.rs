@@ -5,6 +5,7 @@ pub mod convert;
 pub mod decode;
 pub mod export;
 pub mod measurement;
+pub mod plot;
 pub mod recording;
 pub mod store;
 
