@@ -5,7 +5,9 @@
 
 use std::path::Path;
 use std::time::Instant;
+use twum_host::compare::replay::replay_recording;
 use twum_host::record::decode::{Decoder, Item};
+use twum_host::record::plot::recording_figure;
 use twum_host::record::recording::Recording;
 use twum_host::record::store::{Metadata, Reader, Sender, Writer};
 use twum_shared::frame::{self, Header, MAX_ENCODED};
@@ -24,6 +26,11 @@ fn main() {
     report("read", bytes, || read(&path));
     report("decode", bytes, || decode(&path));
     report("views", bytes, || views(&path));
+    report("check", bytes, || check(&path));
+    report("plot", bytes, || plot(&path));
+    if let Some(peak) = peak_megabytes() {
+        println!("peak memory of all of it: {peak:.0} MB");
+    }
     std::fs::remove_dir_all(&dir).expect("removable");
 }
 
@@ -93,6 +100,25 @@ fn write_hour(path: &Path) {
     let end_us = TICKS * 500;
     send(end_us, &DeviceMessage::RunEnded { end: RunEnd::Completed, end_us });
     writer.finish().expect("disk space");
+}
+
+/// As `twum replay` does.
+fn check(path: &Path) -> u64 {
+    let found = replay_recording(path).expect("just written");
+    assert!(found.replay.is_exact(), "{:?}", found.replay);
+    found.replay.checked
+}
+
+/// As `twum plot` does.
+fn plot(path: &Path) -> u64 {
+    let recording = Recording::load(path).expect("just written");
+    recording_figure(&recording, "hour").expect("has signals").png().expect("a usual size").len() as u64
+}
+
+fn peak_megabytes() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1024.0)
 }
 
 fn read(path: &Path) -> u64 {

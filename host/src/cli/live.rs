@@ -1,13 +1,158 @@
 //! `twum live`.
 
-use anyhow::{Result, bail};
+use super::connect::{ALL_STREAMS, ConnectArgs, INTERRUPTED, RecordArgs};
+use anyhow::{Context, Result, bail};
+use crossterm::event::{self, Event, KeyCode};
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
+use std::thread;
+use std::time::Duration;
+use twum_host::link::Received;
+use twum_host::link::bench::{Action, Experiment};
+use twum_host::record::decode::{Decoder, Item, LinkStatistics};
+use twum_host::record::live::LiveView;
+use twum_host::record::store::Ending;
+
+/// The screen is drawn this often.
+const DRAW_EVERY: Duration = Duration::from_millis(100);
+/// Messages on their way to the screen; what does not fit is not shown, and never waited for.
+const WAITING: usize = 4096;
 
 /// Arguments of `twum live`.
 #[derive(Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "\
+A port belongs to one program at a time. To watch a run, follow the recording it makes:
+
+  twum track --port /dev/ttyUSB0 --out sine.mcap      (in one terminal)
+  twum live sine.mcap                                 (in another)
+
+Reading a growing file cannot slow its writer. Without a run, watch the board itself, recording or not:
+
+  twum live --port /dev/ttyUSB0 --out idle.mcap
+
+Keys: q quits.")]
+pub struct Args {
+    /// Recording to follow while it is made
+    #[arg(required_unless_present = "port", conflicts_with = "port")]
+    recording: Option<PathBuf>,
+    #[command(flatten)]
+    connect: Option<ConnectArgs>,
+    #[command(flatten)]
+    record: RecordArgs,
+    /// Print one screen of what the recording holds now, without a terminal
+    #[arg(long, requires = "recording")]
+    once: bool,
+}
 
 /// Runs `twum live`.
-pub fn run(_args: Args) -> Result<ExitCode> {
-    bail!("`twum live` is not built yet")
+pub fn run(args: Args) -> Result<ExitCode> {
+    match (&args.recording, &args.connect) {
+        (Some(recording), _) if args.once => print_once(recording),
+        _ if !std::io::stdout().is_terminal() => {
+            bail!("this view needs a terminal; `--once` prints one screen of a recording")
+        }
+        (Some(recording), _) => follow(recording),
+        (None, Some(connect)) => watch(connect, &args.record),
+        (None, None) => bail!("give a recording to follow, or --port"),
+    }
+}
+
+fn print_once(recording: &Path) -> Result<ExitCode> {
+    let mut decoder = Decoder::open(recording)?;
+    let mut view = LiveView::new();
+    take_all(&mut decoder, &mut view)?;
+    let mut terminal = Terminal::new(TestBackend::new(120, 40))?;
+    terminal.draw(|frame| view.draw(frame, &recording.display().to_string(), decoder.statistics()))?;
+    for row in terminal.backend().buffer().content.chunks(120) {
+        let line: String = row.iter().map(|cell| cell.symbol()).collect();
+        println!("{}", line.trim_end());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn take_all(decoder: &mut Decoder, view: &mut LiveView) -> Result<()> {
+    while let Some(item) = decoder.next_item()? {
+        if let Item::Device { header, message, .. } = item {
+            view.observe(header.time_us, &message);
+        }
+    }
+    Ok(())
+}
+
+fn follow(recording: &Path) -> Result<ExitCode> {
+    let mut decoder = Decoder::open(recording)?;
+    decoder.follow();
+    let mut view = LiveView::new();
+    let mut terminal = ratatui::try_init().context("cannot take over the terminal")?;
+    let result = (|| -> Result<()> {
+        loop {
+            take_all(&mut decoder, &mut view)?;
+            let ended = if decoder.integrity().ending == Ending::Finished { " (finished)" } else { "" };
+            let heading = format!("{}{ended}", recording.display());
+            terminal.draw(|frame| view.draw(frame, &heading, decoder.statistics()))?;
+            if quit_asked()? {
+                return Ok(());
+            }
+        }
+    })();
+    ratatui::restore();
+    result.map(|()| ExitCode::SUCCESS)
+}
+
+/// Records on this thread, as every other command does, and draws on another.
+fn watch(connect: &ConnectArgs, record: &RecordArgs) -> Result<ExitCode> {
+    let experiment = Experiment {
+        configuration: None,
+        capture: ALL_STREAMS,
+        action: Action::Watch(Duration::from_secs(24 * 3600)),
+        recording: record.out.clone(),
+        motor: String::new(),
+    };
+    let (sender, receiver) = sync_channel::<Received>(WAITING);
+    let screen = thread::spawn(move || draw_received(&receiver));
+    let outcome = connect.perform(&experiment, |received| {
+        let _ = sender.try_send(received.clone());
+    });
+    drop(sender);
+    let drawn = screen.join().unwrap_or(Ok(()));
+    let outcome = outcome?;
+    drawn?;
+    record.conclude(&outcome)
+}
+
+fn draw_received(receiver: &Receiver<Received>) -> Result<()> {
+    let mut view = LiveView::new();
+    let mut terminal = ratatui::try_init().context("cannot take over the terminal")?;
+    let result = (|| -> Result<()> {
+        loop {
+            loop {
+                match receiver.try_recv() {
+                    Ok(received) => view.observe(received.header.time_us, &received.message),
+                    Err(TryRecvError::Empty) => break,
+                    Err(TryRecvError::Disconnected) => return Ok(()),
+                }
+            }
+            terminal.draw(|frame| view.draw(frame, "board", LinkStatistics::default()))?;
+            if quit_asked()? {
+                INTERRUPTED.store(true, Ordering::Relaxed);
+            }
+        }
+    })();
+    ratatui::restore();
+    result
+}
+
+/// Waits for the next drawing; whether `q` or Ctrl-C was pressed meanwhile.
+fn quit_asked() -> Result<bool> {
+    if !event::poll(DRAW_EVERY)? {
+        return Ok(false);
+    }
+    let Event::Key(key) = event::read()? else { return Ok(false) };
+    let is_interrupt = key.code == KeyCode::Char('c') && key.modifiers.contains(event::KeyModifiers::CONTROL);
+    Ok(is_interrupt || matches!(key.code, KeyCode::Char('q') | KeyCode::Esc))
 }

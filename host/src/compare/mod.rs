@@ -1,3 +1,4 @@
 //! A measurement against the fixed-point model and the simulation.
 
+pub mod controller;
 pub mod replay;

@@ -98,6 +98,11 @@ impl Decoder {
         self.statistics
     }
 
+    /// Reads on behind the present end, as [`Reader::follow`].
+    pub fn follow(&mut self) {
+        self.reader.follow();
+    }
+
     /// The next item, `None` at the end.
     ///
     /// # Errors
@@ -112,7 +117,7 @@ impl Decoder {
                 Some(Entry::Frame { sender: Sender::Device, host_time_ns, bytes }) => match decode(bytes) {
                     Ok((header, message)) => {
                         self.statistics.device_frames += 1;
-                        let session = self.follow(header);
+                        let session = self.track(header);
                         Item::Device { session, host_time_ns, header, message }
                     }
                     Err(error) => Item::Broken { sender: Sender::Device, host_time_ns, error },
@@ -130,8 +135,8 @@ impl Decoder {
         }
     }
 
-    /// Follows the board's sequence and clock; gives the session the frame belongs to.
-    fn follow(&mut self, header: Header) -> u32 {
+    /// Keeps track of the board's sequence and clock; gives the session the frame belongs to.
+    fn track(&mut self, header: Header) -> u32 {
         match self.last.replace(header) {
             Some(last) if header.time_us >= last.time_us => {
                 // Half the range and more is a number that came twice or too late, not a gap.

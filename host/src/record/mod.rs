@@ -4,6 +4,7 @@ pub mod check;
 pub mod convert;
 pub mod decode;
 pub mod export;
+pub mod live;
 pub mod measurement;
 pub mod plot;
 pub mod recording;

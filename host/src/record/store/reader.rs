@@ -91,6 +91,7 @@ pub struct Reader {
     /// The record last read, without its opcode and length.
     current: Vec<u8>,
     ended: bool,
+    following: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -123,6 +124,8 @@ enum Step {
         from: u64,
         except: Option<u64>,
     },
+    /// No more for now.
+    Wait,
     End,
 }
 
@@ -159,6 +162,7 @@ impl Reader {
             integrity: Integrity::default(),
             current: Vec::new(),
             ended: false,
+            following: false,
         };
         reader.metadata = reader.read_metadata()?;
         Ok(reader)
@@ -172,6 +176,12 @@ impl Reader {
     /// The state of the file as far as it was read; complete once [`Self::next_entry`] has returned `None`.
     pub fn integrity(&self) -> Integrity {
         self.integrity
+    }
+
+    /// Reads on behind the present end: the recording is still being made. [`Self::next_entry`] then gives `None` when
+    /// there is nothing new, and may be asked again; [`Integrity::ending`] says when the recorder has finished.
+    pub fn follow(&mut self) {
+        self.following = true;
     }
 
     /// The next frame or remark, `None` at the end.
@@ -197,6 +207,7 @@ impl Reader {
                 }
                 Step::Other => {}
                 Step::Damage { from, except } => self.resume(from, except)?,
+                Step::Wait => return Ok(None),
                 Step::End => self.ended = true,
             }
         }
@@ -227,6 +238,7 @@ impl Reader {
         let unreadable = Step::Damage { from: self.previous + 1, except: Some(failed_at) };
         let opcode = match self.next_record()? {
             Some(Ok(opcode)) => opcode,
+            Some(Err(McapError::UnexpectedEof)) if self.following => return Ok(Step::Wait),
             Some(Err(McapError::UnexpectedEof)) => {
                 // Cut off, unless a damaged length made a record swallow the rest of the file.
                 let swallowed = self.ends_with_magic()? || self.find_message(failed_at + 1, None)?.is_some();
@@ -277,6 +289,9 @@ impl Reader {
             };
             let read =
                 self.file.read(self.records.insert(wanted)).map_err(|reason| StoreError::io(&self.path, reason))?;
+            if read == 0 && self.following {
+                return Ok(Some(Err(McapError::UnexpectedEof)));
+            }
             self.records.notify_read(read);
         }
     }

@@ -135,6 +135,27 @@ fn a_file_cut_anywhere_gives_every_frame_before_the_cut() {
 }
 
 #[test]
+fn a_recording_is_followed_while_it_is_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let mut writer = Writer::create(&path, &Metadata::simulated()).unwrap();
+    let mut reader = Reader::open(&path).unwrap();
+    reader.follow();
+    for index in 0..50 {
+        assert_eq!(reader.next_entry().unwrap(), None);
+        writer.frame(Sender::Device, 1, &frame(index)).unwrap();
+        let bytes = frame(index);
+        let expected = Entry::Frame { sender: Sender::Device, host_time_ns: 1, bytes: &bytes };
+        assert_eq!(reader.next_entry().unwrap(), Some(expected));
+    }
+    assert_eq!(reader.integrity().ending, Ending::Unread);
+    writer.finish().unwrap();
+    assert_eq!(reader.next_entry().unwrap(), None);
+    assert_eq!(reader.integrity().ending, Ending::Finished);
+    assert!(reader.integrity().is_whole());
+}
+
+#[test]
 fn a_hole_costs_the_frames_in_it() {
     let dir = tempfile::tempdir().unwrap();
     let path = record(&dir, 100, true);

@@ -1,0 +1,302 @@
+//! What `twum live` shows: the latest target, position, speed, duty, state and faults, and their last half minute.
+//!
+//! It is fed with messages and drawn a few times a second; nothing here waits, so that whoever records is never held up.
+
+use super::decode::LinkStatistics;
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::symbols::Marker;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType, Paragraph};
+use std::collections::VecDeque;
+use twum_shared::Fault;
+use twum_shared::message::{DeviceMessage, Mode};
+
+/// How much of the past is shown, µs.
+const SHOWN_US: u64 = 30_000_000;
+/// One point is kept for so much time, µs.
+const POINT_EVERY_US: u64 = 50_000;
+/// The speed is the distance travelled in this time, µs.
+const SPEED_OVER_US: u64 = 300_000;
+
+/// One moment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Point {
+    time_us: u64,
+    target: Option<f64>,
+    position: f64,
+    speed_rpm: f64,
+    duty: f64,
+}
+
+/// The state of a board as the host last heard it.
+#[derive(Debug, Clone, Default)]
+pub struct LiveView {
+    time_us: u64,
+    mode: Option<Mode>,
+    fault: Option<Fault>,
+    target: Option<i32>,
+    position: i32,
+    /// Signed fraction of the PWM period with drive on.
+    duty: f64,
+    lost_items: u32,
+    late_ticks: u32,
+    edges_per_rev: Option<u16>,
+    duty_steps: u16,
+    /// A run's last ticks may arrive behind its end.
+    run_ended: bool,
+    recent: VecDeque<(u64, i32)>,
+    history: VecDeque<Point>,
+    log: VecDeque<String>,
+}
+
+impl LiveView {
+    /// Nothing heard yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes a message that the board sent at `time_us` of its clock.
+    pub fn observe(&mut self, time_us: u64, message: &DeviceMessage) {
+        if time_us < self.time_us {
+            self.recent.clear();
+            self.history.clear();
+            self.note("the board has restarted".to_owned());
+        }
+        self.time_us = time_us;
+        match message {
+            DeviceMessage::Configured(configuration) => {
+                self.edges_per_rev = Some(configuration.edges_per_rev);
+                self.duty_steps = configuration.control.duty_steps;
+            }
+            DeviceMessage::Control(block) => {
+                if let Some(sample) = block.samples.last().filter(|_| !self.run_ended) {
+                    self.target = Some(sample.target);
+                    self.duty = f64::from(sample.on_steps) / f64::from(self.duty_steps.max(1))
+                        * f64::from(sample.direction.sign());
+                    self.moved(sample.position);
+                }
+            }
+            DeviceMessage::Status(status) => {
+                (self.mode, self.fault) = (Some(status.mode), status.fault);
+                (self.lost_items, self.late_ticks) = (status.lost_items, status.late_ticks);
+                if self.target.is_none() {
+                    self.duty = f64::from(status.duty.raw()) / f64::from(twum_shared::Duty::FULL.raw())
+                        * f64::from(status.direction.sign());
+                    self.moved(status.position);
+                }
+            }
+            DeviceMessage::RunStarted { .. } => {
+                self.recent.clear();
+                self.run_ended = false;
+                self.note("run started".to_owned());
+            }
+            DeviceMessage::RunEnded { end, .. } => {
+                (self.target, self.duty, self.run_ended) = (None, 0.0, true);
+                self.recent.clear();
+                self.note(format!("run ended: {end:?}"));
+            }
+            DeviceMessage::Fault(report) => {
+                self.fault = Some(report.fault);
+                self.note(format!("fault {:?}: {}", report.fault, report.fault));
+            }
+            DeviceMessage::Nack { reason, .. } => self.note(format!("refused: {reason}")),
+            DeviceMessage::Aligned => self.note("aligned".to_owned()),
+            DeviceMessage::Log(line) => self.note(line.as_str().to_owned()),
+            _ => {}
+        }
+    }
+
+    fn note(&mut self, line: String) {
+        self.log.push_back(format!("{:9.3} s  {line}", self.time_us as f64 * 1e-6));
+        if self.log.len() > 100 {
+            self.log.pop_front();
+        }
+    }
+
+    fn moved(&mut self, position: i32) {
+        self.position = position;
+        self.recent.push_back((self.time_us, position));
+        while self.recent.front().is_some_and(|(time_us, _)| self.time_us - time_us > SPEED_OVER_US) {
+            self.recent.pop_front();
+        }
+        if self.history.back().is_none_or(|point| self.time_us - point.time_us >= POINT_EVERY_US) {
+            self.history.push_back(Point {
+                time_us: self.time_us,
+                target: self.target.map(|target| self.degrees(target)),
+                position: self.degrees(position),
+                speed_rpm: self.speed_rpm(),
+                duty: self.duty,
+            });
+            while self.history.front().is_some_and(|point| self.time_us - point.time_us > SHOWN_US) {
+                self.history.pop_front();
+            }
+        }
+    }
+
+    fn degrees(&self, counts: i32) -> f64 {
+        f64::from(counts) * 360.0 / f64::from(self.edges_per_rev.unwrap_or(400).max(1))
+    }
+
+    /// Mean speed over the last 0.3 s, rpm.
+    pub fn speed_rpm(&self) -> f64 {
+        match (self.recent.front(), self.recent.back()) {
+            (Some((from_us, from)), Some((to_us, to))) if to_us > from_us => {
+                let turned = self.degrees(to.wrapping_sub(*from)) / 360.0;
+                turned / ((to_us - from_us) as f64 * 1e-6) * 60.0
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Draws everything; `heading` says what is watched, `link` what the line lost.
+    pub fn draw(&self, frame: &mut Frame, heading: &str, link: LinkStatistics) {
+        let [head, values, position, speed, log] = Layout::vertical([
+            Constraint::Length(1),
+            Constraint::Length(4),
+            Constraint::Fill(3),
+            Constraint::Fill(2),
+            Constraint::Length(6),
+        ])
+        .areas(frame.area());
+        let bold = Style::new().add_modifier(Modifier::BOLD);
+        frame.render_widget(Line::from(vec![Span::styled(heading, bold), Span::raw("   q quits")]), head);
+        frame.render_widget(self.values(link), values);
+        self.draw_position(frame, position);
+        self.draw_speed(frame, speed);
+        let lines: Vec<Line> = self.log.iter().rev().take(4).rev().map(|line| Line::raw(line.as_str())).collect();
+        frame.render_widget(Paragraph::new(lines).block(Block::bordered().title("events")), log);
+    }
+
+    fn values(&self, link: LinkStatistics) -> Paragraph<'_> {
+        let state = match (self.fault, self.mode) {
+            (Some(fault), _) => Span::styled(format!("FAULT {fault:?}"), Style::new().fg(Color::Red)),
+            (None, Some(mode)) => Span::raw(format!("{mode:?}")),
+            (None, None) => Span::raw("nothing heard yet"),
+        };
+        let target = self.target.map_or("      -".to_owned(), |target| format!("{:7.1}", self.degrees(target)));
+        let lost = format!(
+            "lost: {} frames on the line, {} items on the board   late ticks: {}",
+            link.missing_sequences, self.lost_items, self.late_ticks
+        );
+        let is_lossless = link.missing_sequences == 0 && link.broken_frames == 0 && self.lost_items == 0;
+        let lost_style = if is_lossless { Style::new() } else { Style::new().fg(Color::Yellow) };
+        let position = self.degrees(self.position);
+        Paragraph::new(vec![
+            Line::from(vec![
+                Span::raw(format!(
+                    "target {target}°   position {position:7.1}°   speed {:6.1} rpm   duty {:+.3}   ",
+                    self.speed_rpm(),
+                    self.duty
+                )),
+                state,
+            ]),
+            Line::from(Span::styled(lost, lost_style)),
+        ])
+        .block(Block::bordered())
+    }
+
+    fn draw_position(&self, frame: &mut Frame, area: Rect) {
+        let now = self.now_us();
+        let at = |point: &Point| (point.time_us as f64 - now as f64) * 1e-6;
+        let position: Vec<(f64, f64)> = self.history.iter().map(|point| (at(point), point.position)).collect();
+        let target: Vec<(f64, f64)> =
+            self.history.iter().filter_map(|point| Some((at(point), point.target?))).collect();
+        let lines = [("target", &target, Color::Blue), ("position", &position, Color::Yellow)];
+        draw_chart(frame, area, "target (blue), position (yellow), °", &lines);
+    }
+
+    fn draw_speed(&self, frame: &mut Frame, area: Rect) {
+        let now = self.now_us();
+        let at = |point: &Point| (point.time_us as f64 - now as f64) * 1e-6;
+        let speed: Vec<(f64, f64)> = self.history.iter().map(|point| (at(point), point.speed_rpm)).collect();
+        let duty: Vec<(f64, f64)> = self.history.iter().map(|point| (at(point), 100.0 * point.duty)).collect();
+        let lines = [("speed (rpm)", &speed, Color::Green), ("duty (%)", &duty, Color::Magenta)];
+        draw_chart(frame, area, "speed (green), rpm; duty (magenta), %", &lines);
+    }
+
+    fn now_us(&self) -> u64 {
+        self.history.back().map_or(self.time_us, |point| point.time_us)
+    }
+}
+
+type Curve<'a> = (&'a str, &'a Vec<(f64, f64)>, Color);
+
+fn draw_chart(frame: &mut Frame, area: Rect, title: &str, curves: &[Curve<'_>]) {
+    let values = || curves.iter().flat_map(|curve| curve.1.iter().map(|point| point.1));
+    let low = values().fold(f64::INFINITY, f64::min).min(0.0);
+    let high = values().fold(f64::NEG_INFINITY, f64::max).max(low + 1.0);
+    let span_s = SHOWN_US as f64 * 1e-6;
+    let datasets = curves.iter().map(|(name, points, color)| {
+        Dataset::default()
+            .name(*name)
+            .marker(Marker::Braille)
+            .graph_type(GraphType::Line)
+            .style(Style::new().fg(*color))
+            .data(points)
+    });
+    let chart = Chart::new(datasets.collect())
+        .block(Block::bordered().title(title.to_owned()))
+        .x_axis(Axis::default().bounds([-span_s, 0.0]).labels([format!("-{span_s:.0} s"), "now".to_owned()]))
+        .y_axis(Axis::default().bounds([low, high]).labels([format!("{low:.0}"), format!("{high:.0}")]));
+    frame.render_widget(chart, area);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::synthetic::{configured, control_blocks};
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+    use twum_shared::message::FaultReport;
+    use twum_shared::step::ConfigSpec;
+
+    fn screen(view: &LiveView) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(120, 40)).unwrap();
+        terminal.draw(|frame| view.draw(frame, "test", LinkStatistics::default())).unwrap();
+        terminal.backend().to_string()
+    }
+
+    #[test]
+    fn values_and_faults_stand_on_the_screen() {
+        let mut view = LiveView::new();
+        assert!(screen(&view).contains("nothing heard yet"));
+        view.observe(0, &configured(ConfigSpec::THESIS));
+        let blocks = control_blocks(ConfigSpec::THESIS, 0, 200);
+        for block in &blocks {
+            view.observe(block.first_us + 8000, &DeviceMessage::Control(block.clone()));
+        }
+        let last = blocks.last().unwrap().samples.last().unwrap();
+        let shown = screen(&view);
+        assert!(shown.contains(&format!("target {:7.1}°", f64::from(last.target) * 0.9)), "{shown}");
+        assert!(shown.contains(&format!("position {:7.1}°", f64::from(last.position) * 0.9)), "{shown}");
+        let report = FaultReport { fault: Fault::EncoderStall, off_us: 1, position: 0 };
+        view.observe(2_000_000, &DeviceMessage::Fault(report));
+        assert!(screen(&view).contains("FAULT EncoderStall"));
+    }
+
+    #[test]
+    fn speed_is_the_distance_over_the_last_moments() {
+        let mut view = LiveView::new();
+        view.observe(0, &configured(ConfigSpec::THESIS));
+        // 100 counts/s over a 400-edge encoder are 15 rpm.
+        for block in 0..100u64 {
+            let mut message = control_blocks(ConfigSpec::THESIS, 0, 1).remove(0);
+            message.samples.last_mut().unwrap().position = block as i32;
+            view.observe(block * 10_000, &DeviceMessage::Control(message));
+        }
+        assert!((view.speed_rpm() - 15.0).abs() < 0.01, "{}", view.speed_rpm());
+    }
+
+    #[test]
+    fn memory_does_not_grow_with_the_time_watched() {
+        let mut view = LiveView::new();
+        let block = control_blocks(ConfigSpec::THESIS, 0, 1).remove(0);
+        for tick in 0..50_000u64 {
+            view.observe(tick * 8000, &DeviceMessage::Control(block.clone()));
+        }
+        assert!(view.history.len() <= (SHOWN_US / POINT_EVERY_US) as usize + 2);
+        assert!(view.recent.len() <= (SPEED_OVER_US / 8000) as usize + 2);
+    }
+}
