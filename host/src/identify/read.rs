@@ -110,64 +110,72 @@ fn text(path: &Path) -> Result<String, ReadError> {
         .map_err(|_| file(path, "is not text; expected CSV or Touchstone"))
 }
 
-/// A numeric table: header names, and rows with their line numbers.
+/// The rows of a CSV file, cut down to the columns asked for.
 struct Table {
-    header: Vec<String>,
-    rows: Vec<(usize, Vec<f64>)>,
+    /// Which of the layouts asked for it has.
+    layout: usize,
+    /// Line number and the layout's columns; unused ones are 0.
+    rows: Vec<(usize, [f64; 4])>,
     comments: Vec<String>,
 }
 
-fn table(path: &Path) -> Result<Table, ReadError> {
+/// Reads the first of `layouts` (lists of column names) that the header holds; other columns are passed over.
+fn table(path: &Path, layouts: &[&[&str]]) -> Result<Table, ReadError> {
     let text = text(path)?;
-    let mut header: Option<Vec<String>> = None;
-    let mut rows = Vec::new();
     let mut comments = Vec::new();
-    for (index, raw) in text.lines().enumerate() {
-        let number = index + 1;
-        let content = raw.trim();
-        if content.is_empty() {
-            continue;
+    let mut lines = text.lines().enumerate().map(|(i, l)| (i + 1, l.trim())).filter(|(_, l)| !l.is_empty());
+    let (number, head) = loop {
+        match lines.next() {
+            None => return Err(file(path, "is empty")),
+            Some((_, content)) if content.starts_with('#') => comments.push(content[1..].trim().to_owned()),
+            Some(found) => break found,
         }
-        if let Some(comment) = content.strip_prefix('#') {
-            comments.push(comment.trim().to_owned());
-            continue;
-        }
-        let cells: Vec<&str> = content.split([',', ';', '\t']).map(str::trim).collect();
-        let Some(names) = &header else {
-            if cells.iter().all(|c| c.parse::<f64>().is_ok()) {
-                return Err(line(
-                    path,
-                    number,
-                    "the header line is missing; begin with `frequency_hz,z_re,z_im`, `frequency_hz,g,b` or \
-                     `frequency_hz,time_s,v1,v2`",
-                ));
-            }
-            header = Some(cells.iter().map(|c| c.to_ascii_lowercase()).collect());
-            continue;
-        };
-        if cells.len() != names.len() {
-            return Err(line(path, number, format!("{} columns, the header has {}", cells.len(), names.len())));
-        }
-        let mut row = Vec::with_capacity(cells.len());
-        for (cell, name) in cells.iter().zip(names) {
-            match cell.parse::<f64>() {
-                Ok(value) if value.is_finite() => row.push(value),
-                _ => return Err(line(path, number, format!("column `{name}`: `{cell}` is not a finite number"))),
-            }
-        }
-        rows.push((number, row));
+    };
+    let names: Vec<String> = head.split([',', ';', '\t']).map(|c| c.trim().to_ascii_lowercase()).collect();
+    let wanted = layouts.iter().map(|l| format!("`{}`", l.join(","))).collect::<Vec<_>>().join(", ");
+    if names.iter().all(|c| c.parse::<f64>().is_ok()) {
+        return Err(line(path, number, format!("the header line is missing; begin with one of {wanted}")));
     }
-    let header = header.ok_or_else(|| file(path, "is empty"))?;
+    let place =
+        |layout: &[&str]| -> Option<Vec<usize>> { layout.iter().map(|n| names.iter().position(|h| h == n)).collect() };
+    let Some((layout, columns)) = layouts.iter().enumerate().find_map(|(i, l)| place(l).map(|c| (i, c))) else {
+        return Err(line(path, number, format!("columns `{}`; expected one of {wanted}", names.join(","))));
+    };
+    let body: Vec<(usize, &str)> = lines
+        .filter(|(_, content)| {
+            let comment = content.strip_prefix('#');
+            comments.extend(comment.map(|c| c.trim().to_owned()));
+            comment.is_none()
+        })
+        .collect();
+    let parse = |&(number, content): &(usize, &str)| -> Result<(usize, [f64; 4]), ReadError> {
+        let mut values = [0.0; 4];
+        let mut found = 0;
+        for (at, cell) in content.split([',', ';', '\t']).enumerate() {
+            found = at + 1;
+            for (value, column) in values.iter_mut().zip(&columns) {
+                if *column == at {
+                    *value = cell.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+                        let cell = cell.trim();
+                        line(path, number, format!("column `{}`: `{cell}` is not a finite number", names[at]))
+                    })?;
+                }
+            }
+        }
+        if found != names.len() {
+            return Err(line(path, number, format!("{found} columns, the header has {}", names.len())));
+        }
+        Ok((number, values))
+    };
+    // Many lines are read on every core; of several bad ones the first is named.
+    let rows = match body.par_iter().map(parse).collect::<Result<Vec<_>, _>>() {
+        Ok(rows) => rows,
+        Err(error) => return Err(body.iter().find_map(|l| parse(l).err()).unwrap_or(error)),
+    };
     if rows.is_empty() {
         return Err(file(path, "has a header but no data"));
     }
-    Ok(Table { header, rows, comments })
-}
-
-impl Table {
-    fn columns(&self, names: &[&str]) -> Option<Vec<usize>> {
-        names.iter().map(|n| self.header.iter().position(|h| h == n)).collect()
-    }
+    Ok(Table { layout, rows, comments })
 }
 
 fn positive(path: &Path, number: usize, frequency_hz: f64) -> Result<f64, ReadError> {
@@ -179,54 +187,34 @@ fn positive(path: &Path, number: usize, frequency_hz: f64) -> Result<f64, ReadEr
 }
 
 fn csv(path: &Path, options: &ReadOptions) -> Result<Sweep, ReadError> {
-    let table = table(path)?;
-    let mut points = Vec::with_capacity(table.rows.len());
-    if let Some(columns) = table.columns(&["frequency_hz", "z_re", "z_im"]) {
-        for (number, row) in &table.rows {
-            let z = Complex::new(row[columns[1]], row[columns[2]]);
-            if z.norm() == 0.0 {
-                return Err(line(path, *number, "the impedance is zero: its admittance would be infinite"));
-            }
-            points.push(Point {
-                frequency_hz: positive(path, *number, row[columns[0]])?,
-                admittance_s: Complex::new(1.0, 0.0) / z,
-                sigma_s: None,
-            });
-        }
-    } else if let Some(columns) = table.columns(&["frequency_hz", "g", "b"]) {
-        for (number, row) in &table.rows {
-            let y = Complex::new(row[columns[1]], row[columns[2]]);
-            if y.norm() == 0.0 {
-                return Err(line(path, *number, "the admittance is exactly zero: is this row a placeholder?"));
-            }
-            points.push(Point {
-                frequency_hz: positive(path, *number, row[columns[0]])?,
-                admittance_s: y,
-                sigma_s: None,
-            });
-        }
-    } else if let Some(columns) = table.columns(&["frequency_hz", "time_s", "v1", "v2"]) {
+    const LAYOUTS: [&[&str]; 3] =
+        [&["frequency_hz", "z_re", "z_im"], &["frequency_hz", "g", "b"], &["frequency_hz", "time_s", "v1", "v2"]];
+    let table = table(path, &LAYOUTS)?;
+    if table.layout == 2 {
         let mut waveforms: Vec<(usize, Waveform)> = Vec::new();
-        for (number, row) in &table.rows {
-            let f = positive(path, *number, row[columns[0]])?;
+        for (number, [f, t, v1, v2]) in table.rows {
+            let f = positive(path, number, f)?;
             if waveforms.last().is_none_or(|w| w.1.frequency_hz != f) {
-                waveforms.push((*number, empty(f)));
+                waveforms.push((number, empty(f)));
             }
             let Some((_, w)) = waveforms.last_mut() else { continue };
-            w.time_s.push(row[columns[1]]);
-            w.v1.push(row[columns[2]]);
-            w.v2.push(row[columns[3]]);
+            w.time_s.push(t);
+            w.v1.push(v1);
+            w.v2.push(v2);
         }
         return from_waveforms(path, waveforms.into_iter().map(|(n, w)| (path.to_owned(), n, w)).collect(), options);
-    } else {
-        return Err(line(
-            path,
-            1,
-            format!(
-                "columns `{}`; expected `frequency_hz,z_re,z_im`, `frequency_hz,g,b` or `frequency_hz,time_s,v1,v2`",
-                table.header.join(",")
-            ),
-        ));
+    }
+    let mut points = Vec::with_capacity(table.rows.len());
+    for (number, [f, re, im, _]) in table.rows {
+        let value = Complex::new(re, im);
+        if value.norm() == 0.0 {
+            return Err(line(path, number, "the value is exactly zero: is this row a placeholder?"));
+        }
+        points.push(Point {
+            frequency_hz: positive(path, number, f)?,
+            admittance_s: if table.layout == 0 { Complex::new(1.0, 0.0) / value } else { value },
+            sigma_s: None,
+        });
     }
     Ok(Sweep { source: path.display().to_string(), points, waveforms: Vec::new(), shunt_ohm: None })
 }
@@ -251,26 +239,21 @@ fn folder(path: &Path, options: &ReadOptions) -> Result<Sweep, ReadError> {
     }
     let mut waveforms = Vec::new();
     for name in files {
-        let table = table(&name)?;
-        let columns = table
-            .columns(&["time_s", "v1", "v2"])
-            .ok_or_else(|| line(&name, 1, format!("columns `{}`; expected `time_s,v1,v2`", table.header.join(","))))?;
-        let stated = match table.columns(&["frequency_hz"]) {
-            Some(column) => Some(table.rows[0].1[column[0]]),
-            None => table.comments.iter().find_map(|c| {
-                c.strip_prefix("frequency_hz").and_then(|r| r.trim_start_matches([' ', '=', ':']).parse().ok())
-            }),
-        };
+        let table = table(&name, &[&["time_s", "v1", "v2"]])?;
+        let stated = table.comments.iter().find_map(|c| {
+            c.strip_prefix("frequency_hz").and_then(|rest| rest.trim_start_matches([' ', '=', ':']).parse().ok())
+        });
         let f = stated.or_else(|| frequency_in_name(&name)).filter(|f: &f64| *f > 0.0 && f.is_finite()).ok_or_else(
             || file(&name, "no frequency: name the file by it (`44100.csv`) or add `# frequency_hz = 44100`"),
         )?;
         let mut w = empty(f);
-        for (_, row) in &table.rows {
-            w.time_s.push(row[columns[0]]);
-            w.v1.push(row[columns[1]]);
-            w.v2.push(row[columns[2]]);
+        let first = table.rows[0].0;
+        for (_, [t, v1, v2, _]) in table.rows {
+            w.time_s.push(t);
+            w.v1.push(v1);
+            w.v2.push(v2);
         }
-        waveforms.push((name, table.rows[0].0, w));
+        waveforms.push((name, first, w));
     }
     from_waveforms(path, waveforms, options)
 }
@@ -429,4 +412,122 @@ fn touchstone(path: &Path) -> Result<Sweep, ReadError> {
         return Err(file(path, "holds no data"));
     }
     Ok(Sweep { source: path.display().to_string(), points, waveforms: Vec::new(), shunt_ohm: None })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read_text(name: &str, text: &str, options: &ReadOptions) -> Result<Sweep, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        read(&path, options).map_err(|e| e.to_string())
+    }
+
+    /// The same one-port in every format: 1 kΩ beside 1 nF.
+    fn expected(f: f64) -> Complex<f64> {
+        Complex::new(1e-3, TAU * f * 1e-9)
+    }
+
+    fn rows(make: impl Fn(f64, Complex<f64>) -> String) -> String {
+        (0..30).map(|i| 40_000.0 + 100.0 * f64::from(i)).map(|f| make(f, expected(f)) + "\n").collect()
+    }
+
+    fn agrees(sweep: &Sweep) {
+        for p in &sweep.points {
+            let e = expected(p.frequency_hz);
+            assert!((p.admittance_s - e).norm() < 1e-6 * e.norm(), "{p:?}");
+        }
+        assert_eq!(sweep.points.len(), 30);
+    }
+
+    #[test]
+    fn every_format_says_the_same() {
+        let none = ReadOptions::default();
+        let z = rows(|f, y| format!("{f},{:.12e},{:.12e}", (1.0 / y).re, (1.0 / y).im));
+        agrees(&read_text("a.csv", &format!("# a comment\nfrequency_hz,z_re,z_im\n{z}"), &none).unwrap());
+        let y = rows(|f, y| format!("{f};x;{:.12e};{:.12e}", y.re, y.im));
+        agrees(&read_text("a.csv", &format!("Frequency_Hz;note;G;B\n{y}"), &none).unwrap());
+        let one = Complex::new(1.0, 0.0);
+        let s = |y: Complex<f64>| (one - y * 50.0) / (one + y * 50.0);
+        let ma = rows(|f, y| format!("{} {:.12} {:.12} ! c", f / 1e3, s(y).norm(), s(y).arg().to_degrees()));
+        agrees(&read_text("a.s1p", &format!("! t\n# kHz S MA R 50\n{ma}"), &none).unwrap());
+        let db = rows(|f, y| format!("{} {:.12} {:.12}", f / 1e9, 20.0 * s(y).norm().log10(), s(y).arg().to_degrees()));
+        agrees(&read_text("a.S1P", &format!("# GHz S DB R 50\n{db}"), &none).unwrap());
+        let z = rows(|f, y| format!("{f} {:.12e} {:.12e}", (1.0 / y).re / 75.0, (1.0 / y).im / 75.0));
+        agrees(&read_text("a.s1p", &format!("# Hz Z RI R 75\n{z}"), &none).unwrap());
+        let y = rows(|f, y| format!("{f} {:.12e} {:.12e}", y.re, y.im));
+        let two = format!("[Version] 2.0\n# Hz Y RI R 75\n[Number of Ports] 1\n[Network Data]\n{y}[End]\n");
+        agrees(&read_text("a.s1p", &two, &none).unwrap());
+    }
+
+    #[test]
+    fn waveforms_give_the_admittance_on_either_side_of_the_shunt() {
+        for shunt in [Shunt::High, Shunt::Low] {
+            let options = ReadOptions { shunt_ohm: Some(2000.0), shunt, stray_f: 0.0 };
+            let wave = |f: f64, y: Complex<f64>| {
+                let divider = (y * 2000.0 + 1.0).inv();
+                let v2 = if shunt == Shunt::High { divider } else { Complex::new(1.0, 0.0) - divider };
+                (0..200).map(move |k| {
+                    let t = f64::from(k) * 1e-6;
+                    // Not triggered at zero: the phase of channel 1 must not matter.
+                    let a = TAU * f * t + 0.8;
+                    (t, 3.0 * a.sin(), 3.0 * v2.norm() * (a + v2.arg()).sin())
+                })
+            };
+            let whole = rows(|f, y| {
+                wave(f, y).map(|(t, a, b)| format!("{f},{t:.9e},{a:.12e},{b:.12e}")).collect::<Vec<_>>().join("\n")
+            });
+            agrees(&read_text("a.csv", &format!("frequency_hz,time_s,v1,v2\n{whole}"), &options).unwrap());
+            let folder = tempfile::tempdir().unwrap();
+            for i in 0..30 {
+                let f = 40_000.0 + 100.0 * f64::from(i);
+                let body: String =
+                    wave(f, expected(f)).map(|(t, a, b)| format!("{t:.9e},{a:.12e},{b:.12e}\n")).collect();
+                let (name, head) = if i % 2 == 0 {
+                    (format!("f_{f}Hz.csv"), String::new())
+                } else {
+                    (format!("{i}.csv"), format!("# frequency_hz = {f}\n"))
+                };
+                std::fs::write(folder.path().join(name), format!("{head}time_s,v1,v2\n{body}")).unwrap();
+            }
+            agrees(&read(folder.path(), &options).unwrap());
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_place() {
+        let head = "frequency_hz,g,b\n";
+        let good = rows(|f, y| format!("{f},{:e},{:e}", y.re, y.im));
+        let none = ReadOptions::default();
+        for (name, text, parts) in [
+            ("a.csv", format!("{head}{good}50000,oops,1\n"), vec!["line 32", "`g`", "oops"]),
+            ("a.csv", format!("{head}{good}50000,NaN,1\n"), vec!["line 32", "`g`", "NaN"]),
+            ("a.csv", format!("{head}{good}50000,1\n"), vec!["line 32", "2 columns"]),
+            ("a.csv", format!("{head}{good}-5,1,1\n"), vec!["line 32", "frequency_hz", "positive"]),
+            ("a.csv", format!("{head}{good}5,0,0\n"), vec!["line 32", "zero"]),
+            ("a.csv", good.clone(), vec!["line 1", "header", "frequency_hz,z_re,z_im"]),
+            ("a.csv", "f,x\n1,2\n".to_owned(), vec!["line 1", "f,x", "expected"]),
+            ("a.csv", format!("{head}40000,1,1\n"), vec!["1 distinct", "20"]),
+            ("a.csv", String::new(), vec!["empty"]),
+            ("a.csv", head.to_owned(), vec!["no data"]),
+            ("a.csv", "frequency_hz,time_s,v1,v2\n1,2,3,4\n".to_owned(), vec!["--shunt"]),
+            ("a.s1p", "# Hz S MA R 50\n1 2\n".to_owned(), vec!["line 2", "2 numbers"]),
+            ("a.s1p", "# Hz Q MA R 50\n".to_owned(), vec!["line 1", "`Q`"]),
+            ("a.s1p", "# Hz S MA R 50\n1 -1 x\n".to_owned(), vec!["line 2", "`x`"]),
+        ] {
+            let message = read_text(name, &text, &none).unwrap_err();
+            for part in parts {
+                assert!(message.contains(part), "`{part}` is missing in: {message}");
+            }
+        }
+        let missing = read(Path::new("nowhere.csv"), &none).unwrap_err().to_string();
+        assert!(missing.contains("nowhere.csv"));
+        let dead =
+            rows(|f, _| (0..50).map(|k| format!("{f},{:e},{k},0", f64::from(k) * 1e-6)).collect::<Vec<_>>().join("\n"));
+        let options = ReadOptions { shunt_ohm: Some(2000.0), ..none };
+        let message = read_text("a.csv", &format!("frequency_hz,time_s,v1,v2\n{dead}"), &options).unwrap_err();
+        assert!(message.contains("v2") && message.contains("40000 Hz"), "{message}");
+    }
 }

@@ -421,7 +421,7 @@ impl Report {
             ("Ks", "ks_n_m", self.ks_n_m, None, "N/m"),
         ];
         let _ = writeln!(out, "{:<3} {:>13} {:>29} {:>13}", "", "fit", "95 % interval", "thesis");
-        let number = |v: Option<f64>| v.map_or("-".to_owned(), |v| figure(v));
+        let number = |v: Option<f64>| v.map_or("-".to_owned(), figure);
         for (label, name, fit, thesis, unit) in rows {
             let interval = match self.ci95.get(name) {
                 Some(Some([low, high])) => format!("[{}, {}]", figure(*low), figure(*high)),

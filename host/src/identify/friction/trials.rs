@@ -195,7 +195,7 @@ fn read_csv(path: &Path, setup: &Setup) -> Result<Vec<f64>, String> {
         && times.len() > 1
     {
         let rate = (times.len() - 1) as f64 / (last - first);
-        if !((rate / setup.sample_hz - 1.0).abs() < 0.01) {
+        if !(0.99..1.01).contains(&(rate / setup.sample_hz)) {
             return Err(format!("`time_s` says {rate:.1} Hz, friction.toml says sample_hz = {}", setup.sample_hz));
         }
     }
