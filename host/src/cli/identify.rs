@@ -3,7 +3,10 @@
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::identify::{figures, friction, read, stator};
+use twum_host::identify::{figures, force_factor, friction, read, save, stator};
+use twum_host::model::motor::Motor;
+use twum_host::model::parameters::Flavour;
+use twum_host::record::measurement::Measurement;
 
 /// Arguments of `twum identify`.
 #[derive(Debug, clap::Args)]
@@ -18,6 +21,72 @@ enum What {
     Stator(Stator),
     /// Coulomb and static friction, from torque with, without and before sliding
     Friction(Friction),
+    /// The electromechanical force factor, from speeds by the averaged model, and what it trades off against
+    ForceFactor(ForceFactor),
+}
+
+/// Where a result is written.
+#[derive(Debug, clap::Args)]
+struct Save {
+    /// Write the result into this motor file, made from --motor if it is not there
+    #[arg(long, value_name = "FILE")]
+    save: Option<PathBuf>,
+    /// Motor to start from: a shipped name or a motor file
+    #[arg(long, value_name = "NAME|FILE", default_value = "pcbmotor-30mm")]
+    motor: String,
+}
+
+impl Save {
+    fn write(&self, updates: impl FnOnce(&PathBuf, &str) -> Result<Vec<save::Update>, save::SaveError>) -> Result<()> {
+        if let Some(path) = &self.save {
+            let updates = updates(path, &self.motor)?;
+            save::save(path, &self.motor, &updates)?;
+            let names: Vec<&str> = updates.iter().map(|u| u.name).collect();
+            eprintln!("{}: wrote {}", path.display(), names.join(", "));
+        }
+        Ok(())
+    }
+}
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  twum identify force-factor bench-3
+  twum identify force-factor bench-3 --loaded 1.0:0.004:24 --loaded 1.0:0.008:13 --save motor.toml
+
+The folder is a measurement folder (measurement.toml). Its open-loop runs at constant duty give steady speeds and start-up
+lags; a speed under a known load tells torque from speed.")]
+struct ForceFactor {
+    /// Measurement folder
+    folder: PathBuf,
+    /// A speed under load, DUTY:NEWTON_METRE:RPM; may be given several times
+    #[arg(long, value_name = "DUTY:NM:RPM", value_parser = loaded)]
+    loaded: Vec<force_factor::Loaded>,
+    /// Reading of the model: physical, or the thesis's listing
+    #[arg(long, default_value = "physical", value_parser = flavour)]
+    flavour: Flavour,
+    #[command(flatten)]
+    save: Save,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn flavour(text: &str) -> Result<Flavour, String> {
+    match text {
+        "physical" => Ok(Flavour::Physical),
+        "thesis" => Ok(Flavour::Thesis),
+        other => Err(format!("`{other}`: there is `physical` and `thesis`")),
+    }
+}
+
+fn loaded(text: &str) -> Result<force_factor::Loaded, String> {
+    let numbers: Vec<f64> = text.split(':').filter_map(|n| n.parse().ok()).collect();
+    match numbers[..] {
+        [duty, load_nm, rpm] if (0.0..=1.0).contains(&duty) && load_nm.is_finite() && rpm.is_finite() => {
+            Ok(force_factor::Loaded { duty, load_nm, rpm })
+        }
+        _ => Err(format!("`{text}` is not DUTY:NM:RPM, for example 1.0:0.005:22")),
+    }
 }
 
 #[derive(Debug, clap::Args)]
@@ -36,6 +105,8 @@ struct Friction {
     /// Write the coefficients over speed and the power spectrum here (.svg or .png)
     #[arg(long, value_name = "FILE")]
     figure: Option<PathBuf>,
+    #[command(flatten)]
+    save: Save,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -83,6 +154,8 @@ struct Stator {
     /// Write Nyquist and Bode plots here (.svg or .png)
     #[arg(long, value_name = "FILE")]
     figure: Option<PathBuf>,
+    #[command(flatten)]
+    save: Save,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -93,6 +166,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     match args.what {
         What::Stator(args) => run_stator(args),
         What::Friction(args) => run_friction(args),
+        What::ForceFactor(args) => run_force_factor(args),
     }
 }
 
@@ -129,6 +203,7 @@ fn run_stator(args: Stator) -> Result<ExitCode> {
     } else {
         print!("{}", found.report.text());
     }
+    args.save.write(|path, base| save::stator(&found.report, path, base))?;
     Ok(if found.report.verdict == stator::Verdict::NoResonance { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
@@ -142,5 +217,19 @@ fn run_friction(args: Friction) -> Result<ExitCode> {
     } else {
         print!("{}", found.report.text());
     }
+    args.save.write(|_, _| Ok(save::friction(&found.report)))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_force_factor(args: ForceFactor) -> Result<ExitCode> {
+    let measurement = Measurement::load(&args.folder)?;
+    let motor = Motor::load(&args.save.motor)?;
+    let report = force_factor::identify(&measurement, &args.loaded, &motor, args.flavour)?;
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        print!("{}", report.text());
+    }
+    args.save.write(|_, _| Ok(save::force_factor(&report)))?;
     Ok(ExitCode::SUCCESS)
 }

@@ -3,9 +3,11 @@
 pub mod circuit;
 pub mod figures;
 pub mod fit;
+pub mod force_factor;
 pub mod friction;
 pub mod modes;
 pub mod read;
+pub mod save;
 pub mod sine;
 pub mod stator;
 pub mod sweep;

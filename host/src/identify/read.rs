@@ -524,8 +524,9 @@ mod tests {
         }
         let missing = read(Path::new("nowhere.csv"), &none).unwrap_err().to_string();
         assert!(missing.contains("nowhere.csv"));
-        let dead =
-            rows(|f, _| (0..50).map(|k| format!("{f},{:e},{k},0", f64::from(k) * 1e-6)).collect::<Vec<_>>().join("\n"));
+        let dead = rows(|f, _| {
+            (0..50).map(|k| format!("{f},{:e},{},0", f64::from(k) * 1e-6, k / 12 % 2)).collect::<Vec<_>>().join("\n")
+        });
         let options = ReadOptions { shunt_ohm: Some(2000.0), ..none };
         let message = read_text("a.csv", &format!("frequency_hz,time_s,v1,v2\n{dead}"), &options).unwrap_err();
         assert!(message.contains("v2") && message.contains("40000 Hz"), "{message}");

@@ -1,0 +1,651 @@
+//! The force factor from speeds, with what it trades off against.
+//!
+//! The thesis tuned η by hand until the simulated speeds looked right, and doubted the outcome: η may have made up for errors
+//! elsewhere. Here the averaged model is fitted to the steady speed and the start-up lag of every run, with η free and each
+//! parameter that could stand in for it free within what is known of it (a Gaussian prior on its logarithm from the motor
+//! file's uncertainty, or 10 % where the file gives none). The interval of η then holds all of those trades, and the report
+//! says which parameter takes part in it, by how much, and whether the data or only the prior separates the two.
+
+use crate::model::effects::EffectSet;
+use crate::model::motor::Motor;
+use crate::model::motor_plant::{History, Solver};
+use crate::model::parameters::{Flavour, Parameters};
+use crate::model::plant::Direction;
+use crate::model::simulate::{PlantModel, Program, simulate};
+use crate::record::measurement::{Direction as Sense, Measurement, Run, RunData, RunKind};
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::f64::consts::TAU;
+
+/// What may trade with the force factor, by its name in the motor file. `stator` is a common factor on Ms, Cs and Ks: the
+/// admittance fixes their ratios, and only together with η their size.
+const RIVALS: [&str; 9] = ["stator", "Vrms", "f", "Rr", "Fext", "u", "uoff", "Ctheta", "Cn"];
+/// Relative standard uncertainty where a motor file gives none; the drive's frequency is known far better.
+const DEFAULT_PRIOR: f64 = 0.1;
+const DEFAULT_PRIOR_F: f64 = 0.002;
+/// From here a motor counts as run up (s): the thesis's motor takes some 50 ms.
+const RUN_UP_S: f64 = 0.5;
+
+/// Why no force factor could be had.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ForceFactorError {
+    /// Nothing to go by.
+    #[error(
+        "{0}: no speed run with a duty, a direction and at least 0.8 s of drive after the start: record some with `twum speed`"
+    )]
+    NoRuns(String),
+    /// The model does not turn where the motor did.
+    #[error(
+        "the model does not turn at any duty with eta up to {largest} N/V: check Fext, u and Vrms of the motor file"
+    )]
+    Stuck {
+        /// The largest force factor tried (N/V).
+        largest: f64,
+    },
+}
+
+/// A measured speed under a known load, beside the runs of a folder.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Loaded {
+    /// Duty, 0 to 1.
+    pub duty: f64,
+    /// Load against the motion (N·m).
+    pub load_nm: f64,
+    /// Speed (rpm).
+    pub rpm: f64,
+}
+
+/// One run against the model.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RunResult {
+    /// Run.
+    pub id: String,
+    /// Duty.
+    pub duty: f64,
+    /// Load against the motion (N·m).
+    pub load_nm: f64,
+    /// Steady speed measured (rpm).
+    pub rpm: f64,
+    /// Steady speed of the fitted model (rpm).
+    pub model_rpm: f64,
+    /// Start-up lag measured: how far the motor is behind one that ran steadily from t = 0 (s).
+    pub lag_s: Option<f64>,
+    /// Start-up lag of the fitted model (s).
+    pub model_lag_s: Option<f64>,
+}
+
+/// How a parameter trades with the force factor.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Trade {
+    /// Parameter.
+    pub with: String,
+    /// Correlation of the two after the fit.
+    pub correlation: f64,
+    /// Per cent of η that one per cent of the parameter is answered by, everything else held.
+    pub exchange: f64,
+    /// Relative standard uncertainty before the fit.
+    pub prior_relative: f64,
+    /// And after.
+    pub posterior_relative: f64,
+    /// Value the fit settled on over the motor file's.
+    pub ratio: f64,
+}
+
+/// The answer of `twum identify force-factor`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// Version of this shape.
+    pub schema: u32,
+    /// Folder read.
+    pub source: String,
+    /// Motor file it starts from.
+    pub motor: String,
+    /// Reading of the model.
+    pub flavour: Flavour,
+    /// Force factor (N/V).
+    pub eta_n_v: f64,
+    /// Its 95 % interval with every trade in it (N/V).
+    pub ci95: [f64; 2],
+    /// Its 95 % interval were every other parameter exact (N/V).
+    pub ci95_others_exact: [f64; 2],
+    /// Parameters it trades with, the strongest first.
+    pub trades: Vec<Trade>,
+    /// Each run.
+    pub runs: Vec<RunResult>,
+    /// Coefficient of determination over the steady speeds; null below three.
+    pub r2_speed: Option<f64>,
+    /// Factor by which the residual exceeds the measurement's scatter; 1 is none.
+    pub misfit: f64,
+    /// What a reader should know.
+    pub notes: Vec<String>,
+}
+
+struct Observed {
+    id: String,
+    duty: f64,
+    sign: f64,
+    load_nm: f64,
+    pwm_hz: f64,
+    pwm_phase_s: f64,
+    rpm: f64,
+    sigma_rpm: f64,
+    /// Lag and its standard deviation (s).
+    lag: Option<(f64, f64)>,
+}
+
+/// Fits the force factor of `motor` to the speed runs of a measurement and to loaded speeds.
+///
+/// # Errors
+/// [`ForceFactorError`].
+pub fn identify(
+    measurement: &Measurement,
+    loaded: &[Loaded],
+    motor: &Motor,
+    flavour: Flavour,
+) -> Result<Report, ForceFactorError> {
+    let mut observed: Vec<Observed> =
+        measurement.runs.iter().filter_map(|run| observe(run, measurement.edges_per_rev)).collect();
+    if observed.is_empty() && loaded.is_empty() {
+        return Err(ForceFactorError::NoRuns(measurement.folder.display().to_string()));
+    }
+    scatter(&mut observed);
+    observed.extend(loaded.iter().map(|l| Observed {
+        id: format!("load {} N m", l.load_nm),
+        duty: l.duty,
+        sign: 1.0,
+        load_nm: l.load_nm,
+        pwm_hz: 50.0,
+        pwm_phase_s: 0.0,
+        rpm: l.rpm,
+        sigma_rpm: 0.02 * l.rpm.abs().max(1.0),
+        lag: None,
+    }));
+    let base = motor.parameters(flavour);
+    let priors: Vec<f64> = RIVALS.iter().map(|name| prior(motor, flavour, name)).collect();
+    let (data, sigma) = targets(&observed);
+    let predict = |x: &DVector<f64>| predictions(&observed, &with(&base, x), flavour);
+    let mut x = start(&observed, &base, flavour, &data, &sigma)?;
+    // Gauss–Newton with the priors as further residuals; a step that does not help is halved.
+    let weight = |x: &DVector<f64>| penalty(x, &priors);
+    let cost = |y: &DVector<f64>, x: &DVector<f64>| {
+        data.iter().zip(y.iter()).zip(&sigma).map(|((d, y), s)| ((d - y) / s).powi(2)).sum::<f64>() + weight(x)
+    };
+    let mut y = predict(&x);
+    let mut jacobian = slopes(&x, &predict);
+    let mut misfit: f64 = 1.0;
+    for _ in 0..8 {
+        misfit = excess(&data, &y, &sigma);
+        let (normal, gradient) = normal_equations(&jacobian, &data, &y, &sigma, &x, &priors, misfit);
+        let Some(full) = normal.cholesky().map(|c| c.solve(&gradient)) else { break };
+        let full = full.map(|d| d.clamp(-0.5, 0.5));
+        let before = cost(&y, &x);
+        let mut factor = 1.0;
+        let mut moved = false;
+        while factor > 0.05 {
+            let candidate = &x + &full * factor;
+            let there = predict(&candidate);
+            if cost(&there, &candidate) < before {
+                (x, y, moved) = (candidate, there, true);
+                break;
+            }
+            factor *= 0.4;
+        }
+        if !moved || full.amax() * factor < 1e-4 {
+            break;
+        }
+        jacobian = slopes(&x, &predict);
+    }
+    let (normal, _) = normal_equations(&jacobian, &data, &y, &sigma, &x, &priors, misfit);
+    let covariance = normal.clone().try_inverse().unwrap_or_else(|| DMatrix::identity(x.len(), x.len()));
+    let alone = 1.0 / normal[(0, 0)].sqrt();
+    Ok(report(
+        measurement,
+        motor,
+        flavour,
+        &base,
+        &observed,
+        &x,
+        &y,
+        &jacobian,
+        &sigma,
+        &priors,
+        &covariance,
+        alone,
+        misfit,
+    ))
+}
+
+/// Parameters with η and its rivals scaled by exp(x).
+fn with(base: &Parameters, x: &DVector<f64>) -> Parameters {
+    let mut p = *base;
+    p.force_factor_n_v *= x[0].exp();
+    for (name, x) in RIVALS.iter().zip(x.iter().skip(1)) {
+        let k = x.exp();
+        match *name {
+            "stator" => {
+                p.modal_mass_kg *= k;
+                p.modal_damping_ns_m *= k;
+                p.modal_stiffness_n_m *= k;
+            }
+            "Vrms" => p.vrms_v *= k,
+            "f" => p.frequency_hz *= k,
+            "Rr" => p.radial_shape *= k,
+            "Fext" => p.preload_n *= k,
+            "u" => p.friction *= k,
+            "uoff" => p.off_friction *= k,
+            "Ctheta" => p.rotational_damping_nms *= k,
+            _ => p.contact_stiffness_n_m2 *= k,
+        }
+    }
+    p
+}
+
+fn prior(motor: &Motor, flavour: Flavour, name: &str) -> f64 {
+    let key = if name == "stator" { "Ms" } else { name };
+    let entry = motor.physical.get(key).filter(|_| flavour == Flavour::Physical).or_else(|| motor.parameters.get(key));
+    let stated = entry.and_then(|e| Some((e.uncertainty? / e.value).abs())).filter(|r| r.is_finite() && *r > 0.0);
+    // Beyond a factor of e either way a logarithm's prior says nothing any more.
+    stated.unwrap_or(if name == "f" { DEFAULT_PRIOR_F } else { DEFAULT_PRIOR }).min(1.0)
+}
+
+/// Speed and lag of a run, from its window after the run-up.
+fn observe(run: &Run, edges_per_rev: u32) -> Option<Observed> {
+    if run.kind != RunKind::Speed {
+        return None;
+    }
+    let (duty, sense) = (run.duty?, run.direction?);
+    let (start, end) = run.span_us();
+    let end_s = run.drive_on_s.unwrap_or(f64::INFINITY).min(end * 1e-6);
+    let begin_s = RUN_UP_S.max(start * 1e-6);
+    if end_s - begin_s < 0.3 {
+        return None;
+    }
+    let pitch = TAU / f64::from(edges_per_rev);
+    let edge_times: Vec<f64> = match &run.data {
+        RunData::Edges { edges, .. } => edges.iter().map(|e| e.time_us * 1e-6).collect(),
+        RunData::Levels { start_us, period_us, levels } => levels
+            .windows(2)
+            .enumerate()
+            .filter(|(_, w)| w[0] != w[1])
+            // The edge lies between two samples.
+            .map(|(i, _)| (start_us + (i as f64 + 0.5) * period_us) * 1e-6)
+            .collect(),
+        RunData::Velocity { time_us, rpm } => {
+            return Some(from_velocity(run, duty, sense, time_us, rpm, begin_s, end_s));
+        }
+        _ => return None,
+    };
+    let inside: Vec<usize> = (0..edge_times.len()).filter(|&i| (begin_s..end_s).contains(&edge_times[i])).collect();
+    let observed = |rpm: f64, sigma_rpm: f64, lag| Observed {
+        id: run.id.clone(),
+        duty,
+        sign: sense.sign(),
+        load_nm: 0.0,
+        pwm_hz: run.pwm_hz,
+        pwm_phase_s: run.pwm_phase_s,
+        rpm,
+        sigma_rpm,
+        lag,
+    };
+    let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
+        return Some(observed(0.0, 60.0 / TAU * pitch / (end_s - begin_s), None));
+    };
+    // Odd and even edges need not lie evenly: whole pairs only.
+    let last = if (last - first) % 2 == 0 { last } else { last - 1 };
+    if last == first {
+        return Some(observed(0.0, 60.0 / TAU * pitch / (end_s - begin_s), None));
+    }
+    let span = edge_times[last] - edge_times[first];
+    let speed = (last - first) as f64 * pitch / span;
+    let resolution = match &run.data {
+        RunData::Levels { period_us, .. } => period_us * 1e-6 / 12f64.sqrt(),
+        _ => 1e-5,
+    };
+    // Aligned, the encoder stands at the beginning of a pulse and the first edge comes a pitch later; otherwise anywhere
+    // within one.
+    let (ahead, phase) = if run.aligned { (1.0, 0.0) } else { (0.5, 1.0 / 12f64.sqrt()) };
+    let lag = edge_times[first] - (first as f64 + ahead) * pitch / speed;
+    let sigma_lag = (phase * pitch / speed).hypot(resolution).max(2e-4);
+    let starts = start <= 0.0;
+    Some(observed(
+        speed * 60.0 / TAU,
+        speed * 60.0 / TAU * resolution * 2f64.sqrt() / span,
+        starts.then_some((lag, sigma_lag)),
+    ))
+}
+
+fn from_velocity(
+    run: &Run,
+    duty: f64,
+    sense: Sense,
+    time_us: &[f64],
+    rpm: &[f64],
+    begin_s: f64,
+    end_s: f64,
+) -> Observed {
+    let window: Vec<f64> = time_us
+        .iter()
+        .zip(rpm)
+        .filter(|(t, v)| (begin_s..end_s).contains(&(*t * 1e-6)) && v.is_finite())
+        .map(|(_, v)| v.abs())
+        .collect();
+    let n = window.len().max(1) as f64;
+    let mean = window.iter().sum::<f64>() / n;
+    let spread = (window.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
+    // A smoothed velocity's samples are not independent: some fifty milliseconds are one.
+    let independent = ((end_s - begin_s) / 0.05).max(1.0);
+    let lost: f64 = time_us
+        .windows(2)
+        .zip(rpm)
+        .filter(|(t, v)| t[1] * 1e-6 < begin_s && v.is_finite())
+        .map(|(t, v)| (1.0 - v.abs() / mean) * (t[1] - t[0]) * 1e-6)
+        .sum();
+    let starts = time_us.first().is_some_and(|t| *t < 20_000.0) && mean > 0.0;
+    Observed {
+        id: run.id.clone(),
+        duty,
+        sign: sense.sign(),
+        load_nm: 0.0,
+        pwm_hz: run.pwm_hz,
+        pwm_phase_s: run.pwm_phase_s,
+        rpm: mean,
+        sigma_rpm: spread / independent.sqrt(),
+        lag: starts.then_some((lost, 5e-3)),
+    }
+}
+
+/// Runs of the same duty show how far a run repeats; where none do, 1 % is assumed.
+fn scatter(observed: &mut [Observed]) {
+    let mut sum = 0.0;
+    let mut freedom = 0.0;
+    for (i, o) in observed.iter().enumerate() {
+        let same: Vec<f64> =
+            observed.iter().filter(|p| p.duty == o.duty && p.sign == o.sign && o.rpm > 0.0).map(|p| p.rpm).collect();
+        let first = observed.iter().position(|p| p.duty == o.duty && p.sign == o.sign) == Some(i);
+        if first && same.len() > 1 {
+            let mean = same.iter().sum::<f64>() / same.len() as f64;
+            sum += same.iter().map(|v| (v / mean - 1.0).powi(2)).sum::<f64>();
+            freedom += same.len() as f64 - 1.0;
+        }
+    }
+    let relative = if freedom > 0.0 { (sum / freedom).sqrt() } else { 0.01 };
+    for o in observed {
+        o.sigma_rpm = o.sigma_rpm.hypot(relative * o.rpm).max(1e-3);
+    }
+}
+
+fn targets(observed: &[Observed]) -> (Vec<f64>, Vec<f64>) {
+    let speeds = observed.iter().map(|o| (o.rpm, o.sigma_rpm));
+    let lags = observed.iter().filter_map(|o| o.lag);
+    speeds.chain(lags).unzip()
+}
+
+/// Model speeds, then lags, in the order of [`targets`]. Runs alike are simulated once.
+fn predictions(observed: &[Observed], parameters: &Parameters, flavour: Flavour) -> DVector<f64> {
+    let key = |o: &Observed| [o.duty, o.load_nm, o.pwm_hz, o.pwm_phase_s].map(f64::to_bits);
+    let mut distinct: Vec<&Observed> = Vec::new();
+    for o in observed {
+        if !distinct.iter().any(|d| key(d) == key(o)) {
+            distinct.push(o);
+        }
+    }
+    let results: Vec<(f64, f64)> = distinct.par_iter().map(|o| steady(o, parameters, flavour)).collect();
+    let of = |o: &Observed| distinct.iter().position(|d| key(d) == key(o)).map_or((0.0, 0.0), |i| results[i]);
+    let speeds = observed.iter().map(|o| of(o).0);
+    let lags = observed.iter().filter(|o| o.lag.is_some()).map(|o| of(o).1);
+    DVector::from_vec(speeds.chain(lags).collect())
+}
+
+/// Steady speed (rpm) and start-up lag (s) of the model: it is symmetric, so every run turns clockwise here.
+fn steady(o: &Observed, parameters: &Parameters, flavour: Flavour) -> (f64, f64) {
+    let mut parameters = *parameters;
+    parameters.load_nm += o.load_nm;
+    let model = PlantModel::Motor { parameters, flavour, solver: Solver::Averaged };
+    let angle = |end_s: f64| {
+        let mut program = Program::constant(o.duty, Direction::Cw, end_s + 1.0, end_s);
+        (program.pwm_hz, program.pwm_phase_s) = (o.pwm_hz, o.pwm_phase_s);
+        simulate(&program, &model, &EffectSet::default(), History::default()).end_rad
+    };
+    // Whole PWM periods, so that the ripple does not tilt the line.
+    let period = 1.0 / o.pwm_hz;
+    let (a, b) = ((RUN_UP_S / period).round() * period, (2.0 * RUN_UP_S / period).round() * period);
+    let (at_a, at_b) = (angle(a), angle(b));
+    let speed = (at_b - at_a) / (b - a);
+    (speed * 60.0 / TAU, if speed > 1e-3 { a - at_a / speed } else { 0.0 })
+}
+
+/// The best force factor of a coarse scan, everything else as in the motor file.
+fn start(
+    observed: &[Observed],
+    base: &Parameters,
+    flavour: Flavour,
+    data: &[f64],
+    sigma: &[f64],
+) -> Result<DVector<f64>, ForceFactorError> {
+    let mut best = (f64::INFINITY, 0.0);
+    let mut turns = false;
+    for i in -12..=12 {
+        let mut x = DVector::zeros(1 + RIVALS.len());
+        x[0] = f64::from(i) * 0.15;
+        let y = predictions(observed, &with(base, &x), flavour);
+        turns |= y.iter().take(observed.len()).any(|v| *v > 0.5);
+        let n = observed.len();
+        let cost: f64 = (0..n).map(|i| ((data[i] - y[i]) / sigma[i].max(0.02 * data[i].abs())).powi(2)).sum();
+        if cost < best.0 {
+            best = (cost, x[0]);
+        }
+    }
+    if !turns {
+        return Err(ForceFactorError::Stuck { largest: base.force_factor_n_v * 1.8f64.exp() });
+    }
+    let mut x = DVector::zeros(1 + RIVALS.len());
+    x[0] = best.1;
+    Ok(x)
+}
+
+fn slopes(x: &DVector<f64>, predict: &impl Fn(&DVector<f64>) -> DVector<f64>) -> DMatrix<f64> {
+    let columns: Vec<DVector<f64>> = (0..x.len())
+        .map(|j| {
+            // The drive's frequency acts through a resonance a few per cent wide.
+            let h = if j > 0 && RIVALS[j - 1] == "f" { 5e-4 } else { 1e-2 };
+            let at = |h: f64| {
+                let mut x = x.clone();
+                x[j] += h;
+                predict(&x)
+            };
+            (at(h) - at(-h)) / (2.0 * h)
+        })
+        .collect();
+    DMatrix::from_columns(&columns)
+}
+
+fn penalty(x: &DVector<f64>, priors: &[f64]) -> f64 {
+    x.iter().skip(1).zip(priors).map(|(x, s)| (x / s).powi(2)).sum()
+}
+
+/// Residual over scatter, at least 1.
+fn excess(data: &[f64], y: &DVector<f64>, sigma: &[f64]) -> f64 {
+    let chi2: f64 = data.iter().zip(y.iter()).zip(sigma).map(|((d, y), s)| ((d - y) / s).powi(2)).sum();
+    (chi2 / data.len().saturating_sub(1).max(1) as f64).sqrt().max(1.0)
+}
+
+fn normal_equations(
+    jacobian: &DMatrix<f64>,
+    data: &[f64],
+    y: &DVector<f64>,
+    sigma: &[f64],
+    x: &DVector<f64>,
+    priors: &[f64],
+    misfit: f64,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| jacobian[(i, j)] / (sigma[i] * misfit));
+    let residual = DVector::from_fn(data.len(), |i, _| (data[i] - y[i]) / (sigma[i] * misfit));
+    let mut normal = scaled.tr_mul(&scaled);
+    let mut gradient = scaled.tr_mul(&residual);
+    for (j, s) in priors.iter().enumerate() {
+        normal[(j + 1, j + 1)] += 1.0 / (s * s);
+        gradient[j + 1] -= x[j + 1] / (s * s);
+    }
+    (normal, gradient)
+}
+
+#[expect(clippy::too_many_arguments, reason = "it only gathers what the fit found")]
+fn report(
+    measurement: &Measurement,
+    motor: &Motor,
+    flavour: Flavour,
+    base: &Parameters,
+    observed: &[Observed],
+    x: &DVector<f64>,
+    y: &DVector<f64>,
+    jacobian: &DMatrix<f64>,
+    sigma: &[f64],
+    priors: &[f64],
+    covariance: &DMatrix<f64>,
+    alone: f64,
+    misfit: f64,
+) -> Report {
+    let eta = base.force_factor_n_v * x[0].exp();
+    let around = |sd: f64| [eta * (-1.96 * sd).exp(), eta * (1.96 * sd).exp()];
+    let sd = covariance[(0, 0)].sqrt();
+    let dot = |a: usize, b: usize| {
+        (0..jacobian.nrows()).map(|i| jacobian[(i, a)] * jacobian[(i, b)] / sigma[i].powi(2)).sum::<f64>()
+    };
+    let mut trades: Vec<Trade> = RIVALS
+        .iter()
+        .enumerate()
+        .map(|(j, name)| {
+            let posterior = covariance[(j + 1, j + 1)].sqrt();
+            Trade {
+                with: (*name).to_owned(),
+                correlation: covariance[(0, j + 1)] / (sd * posterior),
+                exchange: -dot(0, j + 1) / dot(0, 0),
+                prior_relative: priors[j],
+                posterior_relative: posterior,
+                ratio: x[j + 1].exp(),
+            }
+        })
+        .collect();
+    trades.sort_by(|a, b| b.correlation.abs().total_cmp(&a.correlation.abs()));
+    let mut lag = observed.len();
+    let runs: Vec<RunResult> = observed
+        .iter()
+        .enumerate()
+        .map(|(i, o)| {
+            let model_lag_s = o.lag.map(|_| {
+                lag += 1;
+                y[lag - 1]
+            });
+            RunResult {
+                id: o.id.clone(),
+                duty: o.duty,
+                load_nm: o.load_nm,
+                rpm: o.sign * o.rpm,
+                model_rpm: o.sign * y[i],
+                lag_s: o.lag.map(|l| l.0),
+                model_lag_s,
+            }
+        })
+        .collect();
+    let mean = observed.iter().map(|o| o.rpm).sum::<f64>() / observed.len() as f64;
+    let total: f64 = observed.iter().map(|o| (o.rpm - mean).powi(2)).sum();
+    let left: f64 = observed.iter().zip(y.iter()).map(|(o, y)| (o.rpm - y).powi(2)).sum();
+    let mut duties: Vec<f64> = observed.iter().map(|o| o.duty).collect();
+    duties.sort_by(f64::total_cmp);
+    duties.dedup();
+    let mut notes = Vec::new();
+    let named: Vec<String> = trades
+        .iter()
+        .filter(|t| t.correlation.abs() > 0.3 && t.posterior_relative > 0.7 * t.prior_relative)
+        .map(|t| format!("{} ({:+.2} % of eta for 1 % of it)", t.with, t.exchange))
+        .collect();
+    if !named.is_empty() {
+        notes.push(format!(
+            "these data do not separate eta from {}: the interval is as wide as what is known of them",
+            named.join(", ")
+        ));
+    }
+    if misfit > 2.0 {
+        notes.push(format!(
+            "the model misses the data by {misfit:.1} times their scatter: the interval is widened, but a model error may shift \
+             eta as well; `twum diagnose` looks for its cause"
+        ));
+    }
+    if duties.len() < 3 {
+        notes.push(format!("{} duty only: speeds at three or more say more than one", duties.len()));
+    }
+    if observed.iter().all(|o| o.lag.is_none()) {
+        notes.push("no run begins at its start: start-up, which tells torque from speed, was not used".to_owned());
+    }
+    if observed.iter().all(|o| o.load_nm == 0.0) {
+        notes.push("no loaded run: `--loaded DUTY:NM:RPM` would bound the torque".to_owned());
+    }
+    Report {
+        schema: 1,
+        source: measurement.folder.display().to_string(),
+        motor: motor.name.clone(),
+        flavour,
+        eta_n_v: eta,
+        ci95: around(sd),
+        ci95_others_exact: around(alone),
+        trades,
+        runs,
+        r2_speed: (duties.len() >= 3 && total > 0.0).then(|| 1.0 - left / total),
+        misfit,
+        notes,
+    }
+}
+
+impl Report {
+    /// The report for a person.
+    pub fn text(&self) -> String {
+        use std::fmt::Write as _;
+        let mut out = String::new();
+        let [a, b] = self.ci95;
+        let [c, d] = self.ci95_others_exact;
+        let _ = writeln!(out, "force factor {:.5} N/V, 95 % [{a:.5}, {b:.5}] ({} model)", self.eta_n_v, self.flavour);
+        let _ = writeln!(out, "  [{c:.5}, {d:.5}] were everything else in the motor file exact\n");
+        let _ = writeln!(
+            out,
+            "{:<8} {:>12} {:>22} {:>12} {:>12}",
+            "with", "correlation", "% of eta for 1 %", "known to", "after fit"
+        );
+        for t in &self.trades {
+            let _ = writeln!(
+                out,
+                "{:<8} {:>12.2} {:>22.2} {:>11.1}% {:>11.1}%",
+                t.with,
+                t.correlation,
+                t.exchange,
+                100.0 * t.prior_relative,
+                100.0 * t.posterior_relative
+            );
+        }
+        let _ = writeln!(
+            out,
+            "\n{:<16} {:>6} {:>10} {:>10} {:>10} {:>10}",
+            "run", "duty", "rpm", "model", "lag ms", "model"
+        );
+        let ms = |s: Option<f64>| s.map_or("-".to_owned(), |s| format!("{:.1}", 1e3 * s));
+        for r in &self.runs {
+            let _ = writeln!(
+                out,
+                "{:<16} {:>6.3} {:>10.2} {:>10.2} {:>10} {:>10}",
+                r.id,
+                r.duty,
+                r.rpm,
+                r.model_rpm,
+                ms(r.lag_s),
+                ms(r.model_lag_s)
+            );
+        }
+        if let Some(r2) = self.r2_speed {
+            let _ = writeln!(out, "\nR2 of the speeds {r2:.4}");
+        }
+        for note in &self.notes {
+            let _ = writeln!(out, "note: {note}");
+        }
+        out
+    }
+}
