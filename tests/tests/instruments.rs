@@ -135,3 +135,54 @@ fn nobody_there_is_said_so() {
     let error = Generator::new(Scpi::open(&bench.scope.to_string()).unwrap(), Phases::One).unwrap_err().to_string();
     assert!(error.contains("DG1022") && error.contains("DS1052E"), "{error}");
 }
+
+#[test]
+fn the_chain_from_instruments_to_model_is_whole() {
+    use twum_host::identify::save;
+    use twum_host::model::effects::EffectSet;
+    use twum_host::model::motor::Motor;
+    use twum_host::model::motor_plant::{History, Solver};
+    use twum_host::model::parameters::Flavour;
+    use twum_host::model::plant::Direction;
+    use twum_host::model::simulate::{PlantModel, Program, simulate};
+
+    let bench = bench(Family::Ds1104z);
+    let folder = tempfile::tempdir().unwrap();
+    let waves = folder.path().join("sweep.csv");
+    sweep(&bench, &plan(), &waves, &AtomicBool::new(false), usize::MAX).unwrap();
+    let report = identified(&waves);
+    let file = folder.path().join("bench-3.toml");
+    save::save(&file, "pcbmotor-30mm", &save::stator(&report, &file, "pcbmotor-30mm").unwrap()).unwrap();
+
+    let motor = Motor::load(&file.display().to_string()).unwrap();
+    assert_eq!(motor.name, "bench-3");
+    let eta2 = 0.5439f64.powi(2);
+    for (name, truth) in [("Ms", eta2 * L), ("Cs", eta2 * R), ("Ks", eta2 / C)] {
+        let entry = &motor.parameters[name];
+        assert!((entry.value / truth - 1.0).abs() < 0.01, "{name} = {}", entry.value);
+        assert!(entry.uncertainty.unwrap() < 0.01 * truth && entry.uncertainty.unwrap() > 0.0);
+        assert!(entry.source.contains("identify stator") && entry.source.contains("95 %"), "{}", entry.source);
+    }
+    let physical = motor.parameters(Flavour::Physical);
+    let fs = 1.0 / (std::f64::consts::TAU * (L * C).sqrt());
+    assert!((physical.resonance_hz() / fs - 1.0).abs() < 1e-3);
+
+    // The stator is the shipped motor's: so must the speed be.
+    let speed = |motor: &Motor, flavour| {
+        let model = PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged };
+        let program = Program::constant(1.0, Direction::Cw, 1.0, 0.5);
+        simulate(&program, &model, &EffectSet::default(), History::default()).end_rad
+    };
+    let shipped = Motor::load("pcbmotor-30mm").unwrap();
+    for flavour in [Flavour::Thesis, Flavour::Physical] {
+        let (here, there) = (speed(&motor, flavour), speed(&shipped, flavour));
+        assert!(here > 0.5 && (here / there - 1.0).abs() < 0.05, "{flavour}: {here} rad against {there}");
+    }
+    // A second result goes into the same file and leaves the first alone.
+    let more =
+        [save::Update { name: "u", flavour: None, value: 0.11, ci95: Some([0.105, 0.115]), source: "test".into() }];
+    save::save(&file, "pcbmotor-30mm", &more).unwrap();
+    let again = Motor::load(&file.display().to_string()).unwrap();
+    assert_eq!(again.parameters["u"].value, 0.11);
+    assert_eq!(again.parameters["Ms"], motor.parameters["Ms"]);
+}
