@@ -24,6 +24,8 @@ const RIVALS: [&str; 9] = ["stator", "Vrms", "f", "Rr", "Fext", "u", "uoff", "Ct
 /// Relative standard uncertainty where a motor file gives none; the drive's frequency is known far better.
 const DEFAULT_PRIOR: f64 = 0.1;
 const DEFAULT_PRIOR_F: f64 = 0.002;
+/// Edges a revolution of the simulated encoder.
+const FINE_EDGES: u32 = 20_000;
 /// From here a motor counts as run up (s): the thesis's motor takes some 50 ms.
 const RUN_UP_S: f64 = 0.5;
 
@@ -291,13 +293,9 @@ fn observe(run: &Run, edges_per_rev: u32) -> Option<Observed> {
     let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
         return Some(observed(0.0, 60.0 / TAU * pitch / (end_s - begin_s), None));
     };
-    // Odd and even edges need not lie evenly: whole pairs only.
-    let last = if (last - first) % 2 == 0 { last } else { last - 1 };
-    if last == first {
+    let Some((speed, intercept)) = line(&edge_times, first, last, pitch) else {
         return Some(observed(0.0, 60.0 / TAU * pitch / (end_s - begin_s), None));
-    }
-    let span = edge_times[last] - edge_times[first];
-    let speed = (last - first) as f64 * pitch / span;
+    };
     let resolution = match &run.data {
         RunData::Levels { period_us, .. } => period_us * 1e-6 / 12f64.sqrt(),
         _ => 1e-5,
@@ -305,14 +303,33 @@ fn observe(run: &Run, edges_per_rev: u32) -> Option<Observed> {
     // Aligned, the encoder stands at the beginning of a pulse and the first edge comes a pitch later; otherwise anywhere
     // within one.
     let (ahead, phase) = if run.aligned { (1.0, 0.0) } else { (0.5, 1.0 / 12f64.sqrt()) };
-    let lag = edge_times[first] - (first as f64 + ahead) * pitch / speed;
-    let sigma_lag = (phase * pitch / speed).hypot(resolution).max(2e-4);
+    let lag = intercept - ahead * pitch / speed;
+    let sigma_lag = (phase * pitch / speed).hypot(resolution).max(5e-4);
+    let span = edge_times[last] - edge_times[first];
     let starts = start <= 0.0;
     Some(observed(
         speed * 60.0 / TAU,
         speed * 60.0 / TAU * resolution * 2f64.sqrt() / span,
         starts.then_some((lag, sigma_lag)),
     ))
+}
+
+/// Straight line of time over angle through the edges `first..=last`: the speed (rad/s) and the time at which edge 0 would
+/// have come at that speed (s). All edges take part, so that PWM ripple and uneven edges average out.
+fn line(edge_times: &[f64], first: usize, last: usize, pitch: f64) -> Option<(f64, f64)> {
+    let n = (last + 1).saturating_sub(first) as f64;
+    if n < 4.0 {
+        return None;
+    }
+    let (mk, mt) = ((first + last) as f64 / 2.0, edge_times[first..=last].iter().sum::<f64>() / n);
+    let (mut skk, mut skt) = (0.0, 0.0);
+    for (i, t) in edge_times[first..=last].iter().enumerate() {
+        let k = (first + i) as f64 - mk;
+        skk += k * k;
+        skt += k * (t - mt);
+    }
+    let second_an_edge = skt / skk;
+    (second_an_edge > 0.0).then(|| (pitch / second_an_edge, mt - mk * second_an_edge))
 }
 
 fn from_velocity(
@@ -402,17 +419,18 @@ fn steady(o: &Observed, parameters: &Parameters, flavour: Flavour) -> (f64, f64)
     let mut parameters = *parameters;
     parameters.load_nm += o.load_nm;
     let model = PlantModel::Motor { parameters, flavour, solver: Solver::Averaged };
-    let angle = |end_s: f64| {
-        let mut program = Program::constant(o.duty, Direction::Cw, end_s + 1.0, end_s);
-        (program.pwm_hz, program.pwm_phase_s) = (o.pwm_hz, o.pwm_phase_s);
-        simulate(&program, &model, &EffectSet::default(), History::default()).end_rad
-    };
-    // Whole PWM periods, so that the ripple does not tilt the line.
-    let period = 1.0 / o.pwm_hz;
-    let (a, b) = ((RUN_UP_S / period).round() * period, (2.0 * RUN_UP_S / period).round() * period);
-    let (at_a, at_b) = (angle(a), angle(b));
-    let speed = (at_b - at_a) / (b - a);
-    (speed * 60.0 / TAU, if speed > 1e-3 { a - at_a / speed } else { 0.0 })
+    let mut program = Program::constant(o.duty, Direction::Cw, 3.0 * RUN_UP_S, 2.0 * RUN_UP_S);
+    (program.pwm_hz, program.pwm_phase_s) = (o.pwm_hz, o.pwm_phase_s);
+    // The same line through edges as for the data, so fine that it changes smoothly with the parameters.
+    program.edges_per_rev = FINE_EDGES;
+    let trace = simulate(&program, &model, &EffectSet::default(), History::default());
+    let times: Vec<f64> = trace.edges.iter().map(|e| e.time_s).collect();
+    let pitch = TAU / f64::from(FINE_EDGES);
+    let first = times.partition_point(|t| *t < RUN_UP_S);
+    match times.len().checked_sub(1).and_then(|last| line(&times, first, last, pitch)) {
+        Some((speed, intercept)) => (speed * 60.0 / TAU, intercept - pitch / speed),
+        None => (0.0, 0.0),
+    }
 }
 
 /// The best force factor of a coarse scan, everything else as in the motor file.
@@ -527,7 +545,9 @@ fn report(
             }
         })
         .collect();
-    trades.sort_by(|a, b| b.correlation.abs().total_cmp(&a.correlation.abs()));
+    // By how far what is not known of the parameter moves η.
+    let reach = |t: &Trade| (t.exchange * t.prior_relative).abs();
+    trades.sort_by(|a, b| reach(b).total_cmp(&reach(a)));
     let mut lag = observed.len();
     let runs: Vec<RunResult> = observed
         .iter()
@@ -557,7 +577,7 @@ fn report(
     let mut notes = Vec::new();
     let named: Vec<String> = trades
         .iter()
-        .filter(|t| t.correlation.abs() > 0.3 && t.posterior_relative > 0.7 * t.prior_relative)
+        .filter(|t| reach(t) > 0.02 && t.posterior_relative > 0.5 * t.prior_relative)
         .map(|t| format!("{} ({:+.2} % of eta for 1 % of it)", t.with, t.exchange))
         .collect();
     if !named.is_empty() {

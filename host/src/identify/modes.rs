@@ -34,7 +34,12 @@ pub fn find(sweep: &Sweep, parasitics: bool) -> Option<Fit> {
     };
     let plain = layout(false);
     let full = layout(true);
-    let background = fit(sweep, plain, &capacitor(sweep))?;
+    let mut background = fit(sweep, plain, &capacitor(sweep, |_| Complex::new(0.0, 0.0)))?;
+    if background.circuit().cd_f < 1e-6 * capacitor(sweep, |_| Complex::new(0.0, 0.0)).cd_f {
+        // A resonance that fills the sweep can leave no capacitance to a fit without one.
+        let start = capacitor(sweep, |_| Complex::new(0.0, 0.0));
+        background.parameters = plain.pack(&start);
+    }
     let Some(first) = add(sweep, plain, &background) else { return Some(background) };
     let mut current = match fit(sweep, full, &first.circuit()) {
         Some(better) if better.residual_rel < first.residual_rel => better,
@@ -55,15 +60,16 @@ pub fn find(sweep: &Sweep, parasitics: bool) -> Option<Fit> {
     fit(sweep, plain, &bare)
 }
 
-/// A bare capacitor with a loss, by the median of the data.
-fn capacitor(sweep: &Sweep) -> Circuit {
+/// A bare capacitor with a loss, by the median of the data less what `other` explains.
+fn capacitor(sweep: &Sweep, other: impl Fn(f64) -> Complex<f64>) -> Circuit {
+    let left = |p: &super::sweep::Point| p.admittance_s - other(p.frequency_hz);
     let median = |mut v: Vec<f64>| {
         v.sort_by(f64::total_cmp);
         v[v.len() / 2]
     };
-    let cd = median(sweep.points.iter().map(|p| p.admittance_s.im / (TAU * p.frequency_hz)).collect());
-    let g = median(sweep.points.iter().map(|p| p.admittance_s.re).collect());
-    let y = median(sweep.points.iter().map(|p| p.admittance_s.norm() / (TAU * p.frequency_hz)).collect());
+    let cd = median(sweep.points.iter().map(|p| left(p).im / (TAU * p.frequency_hz)).collect());
+    let g = median(sweep.points.iter().map(|p| left(p).re).collect());
+    let y = median(sweep.points.iter().map(|p| left(p).norm() / (TAU * p.frequency_hz)).collect());
     Circuit {
         cd_f: if cd > 0.0 { cd } else { y },
         loss_s: g,
@@ -79,12 +85,21 @@ fn add(sweep: &Sweep, layout: Layout, current: &Fit) -> Option<Fit> {
     let (low, high) = sweep.range_hz();
     let spacing = (high - low) / sweep.points.len() as f64;
     let mut taken: Vec<f64> = Vec::new();
-    // The strongest place may lead the fit astray; the next ones get their chance.
-    for _ in 0..3 {
-        let mode = strongest(sweep, current, &taken)?;
-        taken.push(mode.fs_hz);
-        let mut start = current.circuit();
-        start.modes.push(mode);
+    // The strongest place may lead the fit astray; the next ones get their chance. A resonance that dwarfs everything is best
+    // met at the peak of the conductance.
+    let peak = if current.circuit().modes.is_empty() { conductance_peak(sweep) } else { None };
+    for attempt in 0..4 {
+        let start = match (attempt, peak) {
+            (0, Some(mode)) => Circuit { modes: vec![mode], ..capacitor(sweep, |f| mode.admittance(f)) },
+            (0, None) => continue,
+            _ => {
+                let Some(mode) = strongest(sweep, current, &taken) else { return None };
+                taken.push(mode.fs_hz);
+                let mut start = current.circuit();
+                start.modes.push(mode);
+                start
+            }
+        };
         let Some(next) = fit(sweep, layout, &start) else { continue };
         let circuit = next.circuit();
         let sane = circuit.cd_f > 0.0
@@ -98,6 +113,19 @@ fn add(sweep: &Sweep, layout: Layout, current: &Fit) -> Option<Fit> {
     None
 }
 
+/// The mode that a lone peak of the conductance would be, by its height and its width at half of it.
+fn conductance_peak(sweep: &Sweep) -> Option<Mode> {
+    let points = &sweep.points;
+    let top = points.iter().enumerate().max_by(|a, b| a.1.admittance_s.re.total_cmp(&b.1.admittance_s.re))?.0;
+    let height = points[top].admittance_s.re;
+    let above = |p: &&super::sweep::Point| p.admittance_s.re > 0.5 * height;
+    let right = points[top..].iter().take_while(above).last()?.frequency_hz;
+    let left = points[..=top].iter().rev().take_while(above).last()?.frequency_hz;
+    let fs_hz = points[top].frequency_hz;
+    let q = fs_hz / (right - left).max(fs_hz * 1e-6);
+    (height > 0.0).then(|| Mode { fs_hz, c_f: height / (TAU * fs_hz * q), q })
+}
+
 /// Whether the last mode of `next` is more than chance, and more than a stopgap for another shortcoming.
 fn worthwhile(sweep: &Sweep, current: &Fit, next: &Fit) -> bool {
     let n = 2.0 * sweep.points.len() as f64;
@@ -105,7 +133,8 @@ fn worthwhile(sweep: &Sweep, current: &Fit, next: &Fit) -> bool {
         fit.residual_s.iter().zip(&current.sigma_s).map(|(r, s)| r.norm_sqr() / (s * s)).sum::<f64>()
     };
     let (before, after) = (chi2(current), chi2(next));
-    if n * (before / after).ln() < 3.0 * n.ln() + 10.0 {
+    // Below the floor of the point variances there is nothing left to explain.
+    if before < 0.01 * n || n * (before / after).ln() < 3.0 * n.ln() + 10.0 {
         return false;
     }
     if current.residual_test.misfit_over_noise < MISFIT {
@@ -128,10 +157,10 @@ fn strongest(sweep: &Sweep, current: &Fit, taken: &[f64]) -> Option<Mode> {
     );
     let residual = &residual - &basis * basis.tr_mul(&residual);
     let (low, high) = sweep.range_hz();
-    let candidates: Vec<(f64, f64)> = [3.0, 10.0, 30.0, 100.0, 300.0]
+    let candidates: Vec<(f64, f64)> = [3.0, 10.0, 30.0, 100.0, 300.0, 1000.0]
         .into_iter()
         .flat_map(|q: f64| {
-            let steps = ((high / low).ln() * 4.0 * q).ceil().clamp(4.0, f.len().min(600) as f64);
+            let steps = ((high / low).ln() * 4.0 * q).ceil().clamp(4.0, f.len().clamp(4, 2000) as f64);
             (0..steps as usize).map(move |i| (low * (high / low).powf((i as f64 + 0.5) / steps), q))
         })
         .filter(|(f0, q)| taken.iter().all(|t| (f0 - t).abs() > t / q))

@@ -296,6 +296,9 @@ fn notes(sweep: &Sweep, fit: &Fit, verdict: Verdict, options: &Options) -> Vec<S
             )
         }));
     }
+    if verdict == Verdict::NoResonance && !fit.residual_test.passed {
+        notes.push("yet it is no plain capacitor: a resonance may lie beyond the swept range; sweep wider".to_owned());
+    }
     if circuit.loss_s <= 0.0 {
         notes.push("the dielectric loss 1/Rd is not above zero in these data".to_owned());
     }

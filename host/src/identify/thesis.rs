@@ -9,6 +9,7 @@
 use super::sine;
 use super::sweep::Sweep;
 use nalgebra::{Complex, DMatrix, DVector};
+use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// What the thesis's script prints.
@@ -110,7 +111,7 @@ pub fn admittances(sweep: &Sweep) -> Vec<(f64, Complex<f64>)> {
     };
     sweep
         .waveforms
-        .iter()
+        .par_iter()
         .filter_map(|w| {
             let one = sine::fit_free(w.frequency_hz, &w.time_s, &w.v1)?.phasor;
             let two = sine::fit_free(w.frequency_hz, &w.time_s, &w.v2)?.phasor;
