@@ -90,7 +90,9 @@ fn loaded_speeds_narrow_what_speeds_alone_leave_open() {
         })
         .collect();
     let with = identify(&measured(base), &loads, &motor, Flavour::Physical).unwrap();
-    assert!((with.eta_n_v / base.force_factor_n_v - 1.0).abs() < 0.02, "{}", with.eta_n_v);
+    // Where the encoder stood at the start is not told: it shifts the lags by milliseconds, and η with them.
+    assert!((with.eta_n_v / base.force_factor_n_v - 1.0).abs() < 0.05, "{}", with.eta_n_v);
+    assert!((with.ci95[0]..with.ci95[1]).contains(&base.force_factor_n_v));
     let width = |r: &twum_host::identify::force_factor::Report| (r.ci95[1] / r.ci95[0]).ln();
     assert!(width(&with) < width(&alone), "{} {}", width(&with), width(&alone));
     assert!(!with.notes.iter().any(|n| n.contains("no loaded run")));
