@@ -1,7 +1,11 @@
 //! How fast the motor models are: `cargo bench -p twum-host --bench model`.
+//!
+//! Times are processor times where the kernel tells them (Linux), so a busy machine does not count against the code.
 
+use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
+use std::time::{Duration, Instant};
 use twum_host::model::averaged::Averaged;
 use twum_host::model::carrier::{Carrier, STEP_S};
 use twum_host::model::effects::EffectSet;
@@ -12,10 +16,55 @@ use twum_host::model::parameters::Flavour;
 use twum_host::model::plant::{Direction, Drive};
 use twum_host::model::simulate::{PlantModel, Program, Trace, simulate_into};
 
+/// Processor time of this thread; wall time where there is none to be had.
+struct CpuTime {
+    began: Instant,
+    wall: WallTime,
+}
+
+impl CpuTime {
+    fn now(&self) -> Duration {
+        std::fs::read_to_string("/proc/thread-self/schedstat")
+            .ok()
+            .and_then(|text| text.split(' ').next()?.parse().ok())
+            .map_or_else(|| self.began.elapsed(), Duration::from_nanos)
+    }
+}
+
+impl Measurement for CpuTime {
+    type Intermediate = Duration;
+    type Value = Duration;
+
+    fn start(&self) -> Duration {
+        self.now()
+    }
+
+    fn end(&self, start: Duration) -> Duration {
+        // The kernel counts in ticks: a short sample may see none.
+        (self.now() - start).max(Duration::from_nanos(1))
+    }
+
+    fn add(&self, a: &Duration, b: &Duration) -> Duration {
+        *a + *b
+    }
+
+    fn zero(&self) -> Duration {
+        Duration::ZERO
+    }
+
+    fn to_f64(&self, value: &Duration) -> f64 {
+        value.as_nanos() as f64
+    }
+
+    fn formatter(&self) -> &dyn ValueFormatter {
+        self.wall.formatter()
+    }
+}
+
 const FLAVOURS: [Flavour; 2] = [Flavour::Thesis, Flavour::Physical];
 
 /// RK4 steps a second at 0.1 µs, rotor turning.
-fn carrier(criterion: &mut Criterion) {
+fn carrier(criterion: &mut Criterion<CpuTime>) {
     let mut group = criterion.benchmark_group("carrier");
     let steps = 20_000;
     group.throughput(Throughput::Elements(steps)).sample_size(20);
@@ -30,7 +79,7 @@ fn carrier(criterion: &mut Criterion) {
 }
 
 /// PWM periods of 20 ms a second, every one integrated: times 0.02 it is times real time.
-fn averaged(criterion: &mut Criterion) {
+fn averaged(criterion: &mut Criterion<CpuTime>) {
     let mut group = criterion.benchmark_group("averaged, every period integrated");
     group.throughput(Throughput::Elements(1)).sample_size(20);
     for flavour in FLAVOURS {
@@ -49,7 +98,7 @@ fn averaged(criterion: &mut Criterion) {
 }
 
 /// A run of 5 s with encoder edges, as a search makes them.
-fn runs(criterion: &mut Criterion) {
+fn runs(criterion: &mut Criterion<CpuTime>) {
     let mut group = criterion.benchmark_group("simulated run of 5 s");
     group.sample_size(20);
     let mut trace = Trace::default();
@@ -72,5 +121,13 @@ fn runs(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, carrier, averaged, runs);
+fn processor_time() -> Criterion<CpuTime> {
+    Criterion::default().with_measurement(CpuTime { began: Instant::now(), wall: WallTime })
+}
+
+criterion_group! {
+    name = benches;
+    config = processor_time();
+    targets = carrier, averaged, runs
+}
 criterion_main!(benches);

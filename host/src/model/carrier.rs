@@ -273,7 +273,7 @@ fn friction_of(c: &Coefficients, phi: f64) -> f64 {
 /// The measure in which a contact of half-angle φ has closed: 0 up to a quarter wave, 1 when all of the stator touches.
 #[inline(always)]
 fn closed(phi: f64) -> f64 {
-    ((phi - 0.5 * PI) / (0.5 * PI)).max(0.0)
+    (phi * std::f64::consts::FRAC_2_PI - 1.0).max(0.0)
 }
 
 #[inline(always)]
@@ -294,10 +294,12 @@ fn derivative<const PHYSICAL: bool>(c: &Coefficients, s: &State, (cos, sin): (f6
 #[inline(always)]
 fn thesis(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
     let [w1, w2, v1, v2, z, zd, _, speed] = *s;
-    let travelling = (w1 * w1 + w2 * w2).sqrt();
-    let amplitude = travelling.max(c.wmin);
+    let square = w1 * w1 + w2 * w2;
+    let floored = square.max(c.wmin * c.wmin);
+    let (travelling, amplitude) = (square.sqrt(), floored.sqrt());
+    // 1/W as W/W²: the division need not wait for the root.
+    let inverse = amplitude * (1.0 / floored);
     let sense = if w1 * v2 - w2 * v1 < 0.0 { -1.0 } else { 1.0 };
-    let inverse = 1.0 / amplitude;
     let cx = (z * c.shape_inv * inverse).clamp(-1.0, 1.0);
     let phi = acos(cx);
     let sx = (1.0 - cx * cx).sqrt();
@@ -332,8 +334,10 @@ fn thesis(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
 #[inline(always)]
 fn physical(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
     let [w1, w2, v1, v2, z, zd, _, speed] = *s;
-    let amplitude = (w1 * w1 + w2 * w2).sqrt().max(AMPLITUDE_FLOOR_M);
-    let inverse = 1.0 / amplitude;
+    let square = (w1 * w1 + w2 * w2).max(AMPLITUDE_FLOOR_M * AMPLITUDE_FLOOR_M);
+    let amplitude = square.sqrt();
+    // 1/W as W/W²: the division need not wait for the root.
+    let inverse = amplitude * (1.0 / square);
     let crest = c.rotor_per_crest * (w1 * v2 - w2 * v1) * inverse;
     let sense = if crest < 0.0 { -1.0 } else { 1.0 };
     let zeta = z * c.shape_inv * inverse;
