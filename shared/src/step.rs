@@ -138,6 +138,7 @@ impl Config {
 const ERROR_LIMIT: i32 = 1 << 18;
 /// Gains stay below this, so that gain (Q32) x difference of two errors stays below 2^62.
 const GAIN_LIMIT: I32F32 = I32F32::lit("1024");
+const KI_LIMIT: I16F48 = I16F48::lit("1024");
 /// Rates of the target saturate here, counts/s.
 const RATE_LIMIT: i32 = 1 << 18;
 
@@ -151,7 +152,7 @@ impl TryFrom<ConfigSpec> for Config {
                 return Err(ConfigError::Gain(name));
             }
         }
-        if spec.ki_tick <= -I16F48::lit("1024") || spec.ki_tick >= I16F48::lit("1024") {
+        if spec.ki_tick <= -KI_LIMIT || spec.ki_tick >= KI_LIMIT {
             return Err(ConfigError::Gain(GainName::Ki));
         }
         let limit = i64::from(spec.integral_max).max(-i64::from(spec.integral_min));
@@ -226,55 +227,76 @@ pub fn step(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
     let spec = &config.spec;
     let error = inputs.target.saturating_sub(inputs.position).clamp(-ERROR_LIMIT, ERROR_LIMIT);
     let difference = error - state.previous_error.clamp(-ERROR_LIMIT, ERROR_LIMIT);
-    let rate = inputs.target_rate.clamp(-RATE_LIMIT, RATE_LIMIT);
     state.previous_error = error;
 
-    let resting = rate == 0 && error.unsigned_abs() <= u32::from(spec.dead_band_counts) && spec.dead_band_counts > 0;
+    let resting = inputs.target_rate == 0
+        && error.unsigned_abs() <= u32::from(spec.dead_band_counts)
+        && spec.dead_band_counts > 0;
     if resting {
         return Outputs { u: 0, on_steps: 0, direction: state.direction };
     }
 
-    let integral = state.integral.saturating_add(error).clamp(spec.integral_min, spec.integral_max);
-    let without_integral = product(spec.kp, error)
-        .saturating_add(product(spec.kd_tick, difference))
-        .saturating_add(product(spec.feed_forward, rate));
-    let full = i64::from(spec.duty_steps) << 24;
-    let signal = |integral: i32| {
-        let integral_term = (spec.ki_tick.to_bits().saturating_mul(i64::from(integral))) >> 16;
-        rounded_q24(without_integral.saturating_add(integral_term))
-    };
+    // `clamp` would keep a panic for limits out of order, which a validated configuration has not.
+    let limited = |integral: i32| integral.max(spec.integral_min).min(spec.integral_max);
+    let integral = limited(state.integral.saturating_add(error));
+    let mut without_integral = product(spec.kp.to_bits(), error) + product(spec.kd_tick.to_bits(), difference);
+    if spec.feed_forward != I32F32::ZERO {
+        let rate = inputs.target_rate.clamp(-RATE_LIMIT, RATE_LIMIT);
+        without_integral += product(spec.feed_forward.to_bits(), rate);
+    }
+    let signal = |integral| rounded_q24(without_integral + (product(spec.ki_tick.to_bits(), integral) >> 16));
     let mut u = signal(integral);
-    let winds_up = spec.conditional_integration && u.abs() > full && (u > 0) == (error > 0) && error != 0;
+    let full = i64::from(spec.duty_steps) << 24;
+    let winds_up = spec.conditional_integration && if error > 0 { u > full } else { error < 0 && u < -full };
     if winds_up {
-        u = signal(state.integral.clamp(spec.integral_min, spec.integral_max));
+        u = signal(limited(state.integral));
     } else {
         state.integral = integral;
     }
 
-    let (on_steps, direction) = match spec.law {
-        DriveLaw::ActiveLowTruncated => {
-            let high = ((full - (1 << 24) - u.abs()).max(0) >> 24) as u16;
-            (spec.duty_steps - high, if u > 0 { Direction::Cw } else { Direction::Ccw })
-        }
-        DriveLaw::OnTimeRounded => {
-            let on = ((u.abs().min(full) + (1 << 23)) >> 24) as u16;
-            let wanted = if u > 0 { Direction::Cw } else { Direction::Ccw };
-            (on, if on > 0 { wanted } else { state.direction })
-        }
+    // What the law adds before it cuts the fraction off: half a step rounds; a step less 2^-24 is the next whole one, as
+    // cutting the high time makes it, and one step more is the one that the thesis leaves on.
+    let bias = match spec.law {
+        DriveLaw::ActiveLowTruncated => (2 << 24) - 1,
+        DriveLaw::OnTimeRounded => 1 << 23,
     };
+    let on = if u < 0 { bias - u } else { bias + u };
+    // |u| stays below 2^55, so its whole steps fit 32 bits.
+    let on_steps = ((on >> 24) as u32).min(u32::from(spec.duty_steps)) as u16;
+    let wanted = if u > 0 { Direction::Cw } else { Direction::Ccw };
+    // The truncating law is never off, so it always turns the way of u.
+    let direction = if on_steps > 0 { wanted } else { state.direction };
     state.direction = direction;
-    Outputs { u: (u >> 8).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32, on_steps, direction }
+    Outputs { u: q16(u), on_steps, direction }
 }
 
-/// `gain × whole`, raw Q32. Both factors are bounded, so the product stays below 2^62.
-fn product(gain: I32F32, whole: i32) -> i64 {
-    gain.to_bits().saturating_mul(i64::from(whole))
+/// `gain × whole`, raw. Gains are below 2^42 in Q32 and errors at most 2^18 (a difference of two, 2^19), so three products
+/// together stay below 2^62; the integral's, checked with the configuration, is below 2^62 in Q48 and 2^46 in Q32.
+fn product(gain: i64, whole: i32) -> i64 {
+    // By halves: 32-bit multipliers do it in three multiplications.
+    let low = i64::from(gain as u32) * i64::from(whole);
+    let high = ((gain >> 32) as i32).wrapping_mul(whole);
+    low.wrapping_add(i64::from(high) << 32)
 }
 
 /// Q32 to Q24, to nearest, halves away from zero, so that both directions round alike.
 fn rounded_q24(q32: i64) -> i64 {
-    let magnitude = (q32.unsigned_abs().saturating_add(1 << 7) >> 8) as i64;
-    if q32 < 0 { -magnitude } else { magnitude }
+    // Cutting rounds down: a negative half must land just below the half that would round it up.
+    (q32 + i64::from(128 - u32::from(q32 < 0))) >> 8
+}
+
+/// Q24 to Q16, saturated.
+fn q16(q24: i64) -> i32 {
+    match (q24 >> 32) as i32 {
+        -128..=127 => (q24 >> 8) as i32,
+        beyond => {
+            if beyond < 0 {
+                i32::MIN
+            } else {
+                i32::MAX
+            }
+        }
+    }
 }
 
 #[cfg(test)]
