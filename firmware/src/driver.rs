@@ -35,14 +35,14 @@ pub async fn serve<P: DriverPort, E: InputPin>(shared: &Shared, mut port: P, mut
                     if result.is_ok() {
                         port.to_hardware();
                     }
-                    shared.commands.send(Command::AlignEnded(number, result)).await;
+                    shared.command(Command::AlignEnded(number, result)).await;
                 }
             }
             DriverRequest::Passthrough(line) => {
                 let passing = with_timeout(Duration::from_millis(PASSTHROUGH_MS), pass(shared, &mut port, &line));
                 // Stopping, or running out of time, ends the capture; what the driver does meanwhile is its own.
                 let _ = select(over(shared, number), passing).await;
-                shared.commands.send(Command::PassthroughEnded(number)).await;
+                shared.command(Command::PassthroughEnded(number)).await;
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The encoder: an atomic count that the pin's interrupt moves and the control interrupt reads.
 
-use crate::queues::EdgeProducer;
+use crate::queues::EncoderEnd;
 use crate::shared::Shared;
 use portable_atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering};
 use twum_shared::Direction;
@@ -66,13 +66,13 @@ impl Encoder {
 /// The body of the encoder pin's interrupt.
 pub struct EncoderInterrupt<'a> {
     shared: &'a Shared,
-    edges: EdgeProducer<'a>,
+    queue: EncoderEnd<'a>,
 }
 
 impl<'a> EncoderInterrupt<'a> {
     /// Joins the interrupt to what it moves.
-    pub const fn new(shared: &'a Shared, edges: EdgeProducer<'a>) -> Self {
-        Self { shared, edges }
+    pub const fn new(shared: &'a Shared, queue: EncoderEnd<'a>) -> Self {
+        Self { shared, queue }
     }
 
     /// One edge: the level after it, the direction pin, and the device clock's low 32 bits in µs. Bounded, and the whole
@@ -82,8 +82,8 @@ impl<'a> EncoderInterrupt<'a> {
         let encoder = &self.shared.encoder;
         encoder.count.fetch_add(encoder.increment(direction), Ordering::Relaxed);
         encoder.edges.fetch_add(1, Ordering::Relaxed);
-        if encoder.streaming.load(Ordering::Relaxed) && self.edges.enqueue(Edge { time_us, level, direction }).is_err()
-        {
+        let edge = Edge { time_us, level, direction };
+        if encoder.streaming.load(Ordering::Relaxed) && self.queue.edges.push(edge).is_err() {
             self.shared.lose_edge();
         }
     }

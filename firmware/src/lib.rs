@@ -5,8 +5,8 @@
 //! - [`control::Control::tick`] runs in a hardware-timer interrupt every control period. It owns the output, the supervisor
 //!   and every fault monitor: nothing else can energise the motor.
 //! - [`encoder::EncoderInterrupt::edge`] runs in the encoder pin's interrupt.
-//! - [`link::receive`], [`link::transmit`], [`driver::serve`] and [`watchdog::supervise`] are async tasks on the
-//!   communication core.
+//! - [`link::receive`], [`link::transmit`], [`driver::serve`], [`store::keep`] and [`watchdog::supervise`] are async tasks
+//!   on the communication core.
 //!
 //! They share one [`Shared`] and the queues of [`queues::Queues`]; nothing here allocates, and the control path neither
 //! waits nor uses floating point.
@@ -21,9 +21,11 @@ pub mod control;
 pub mod driver;
 pub mod encoder;
 pub mod link;
+mod mailbox;
 pub mod output;
 pub mod queues;
 pub mod shared;
+pub mod store;
 pub mod watchdog;
 
 pub use shared::Shared;

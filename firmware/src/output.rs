@@ -74,3 +74,82 @@ impl<S: OutputStage> Output<S> {
         self.direction
     }
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use crate::Shared;
+    use crate::control::Control;
+    use crate::queues::Queues;
+    use std::cell::RefCell;
+    use std::rc::Rc;
+    use std::vec::Vec;
+    use twum_shared::message::{Configuration, ResetCause};
+    use twum_shared::step::ConfigSpec;
+
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    enum Call {
+        Off,
+        Drive,
+        RestartPeriod,
+        Frequency(u16),
+        Mark(bool),
+    }
+
+    /// A stage that writes down what is done to it.
+    #[derive(Clone, Default)]
+    struct Recorder(Rc<RefCell<Vec<Call>>>);
+
+    impl OutputStage for Recorder {
+        fn off(&mut self) {
+            self.0.borrow_mut().push(Call::Off);
+        }
+
+        fn drive(&mut self, _: Duty, _: Direction) {
+            self.0.borrow_mut().push(Call::Drive);
+        }
+
+        fn restart_period(&mut self) {
+            self.0.borrow_mut().push(Call::RestartPeriod);
+        }
+
+        fn set_frequency(&mut self, hz: u16) {
+            self.0.borrow_mut().push(Call::Frequency(hz));
+        }
+
+        fn mark(&mut self, running: bool) {
+            self.0.borrow_mut().push(Call::Mark(running));
+        }
+    }
+
+    #[test]
+    fn booting_switches_off_first_and_nothing_drives_without_a_command() {
+        let recorder = Recorder::default();
+        let output = Output::boot(recorder.clone());
+        assert_eq!(*recorder.0.borrow(), [Call::Off], "off comes before everything else, and at once");
+
+        let (shared, mut queues) = (Shared::new(), Queues::new());
+        let (ends, _, _) = queues.split();
+        let mut control = Control::new(&shared, ends, output, ResetCause::PowerOn);
+        control.restore(Configuration::with_control(ConfigSpec::DEFAULT)).unwrap();
+        for tick in 0..10_000u64 {
+            control.tick(500 * tick, 500 * tick, tick % 7 == 0, || 500 * tick);
+        }
+        assert_eq!(*recorder.0.borrow(), [Call::Off, Call::Frequency(50)]);
+    }
+
+    #[test]
+    fn a_boot_after_the_watchdog_or_a_panic_is_off_too() {
+        for reset in [ResetCause::Watchdog, ResetCause::Panic] {
+            let recorder = Recorder::default();
+            let (shared, mut queues) = (Shared::new(), Queues::new());
+            let (ends, _, _) = queues.split();
+            let mut control = Control::new(&shared, ends, Output::boot(recorder.clone()), reset);
+            for tick in 0..100u64 {
+                control.tick(500 * tick, 500 * tick, false, || 500 * tick);
+            }
+            assert_eq!(*recorder.0.borrow(), [Call::Off], "{reset:?}");
+        }
+    }
+}

@@ -1,6 +1,6 @@
-//! The lock-free queues between the interrupts, which produce capture data, and the transmit task, which sends them.
+//! The queues between the interrupts, which produce capture data, and the transmit task, which sends them.
 
-use heapless::spsc::{Consumer, Producer, Queue};
+use crate::mailbox::Mailbox;
 use twum_shared::encoder::Edge;
 use twum_shared::message::ControlSample;
 use twum_shared::step::State;
@@ -38,40 +38,41 @@ const WORDS: usize = 32;
 /// 0.4 s of edges at twice the motor's top speed.
 const EDGES: usize = 256;
 
-pub(crate) type EdgeProducer<'a> = Producer<'a, Edge>;
-
 /// Every queue; a board keeps one in static memory and splits it once.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct Queues {
-    ticks: Queue<TickRecord, TICKS>,
-    words: Queue<WordRecord, WORDS>,
-    edges: Queue<Edge, EDGES>,
+    ticks: Mailbox<TickRecord, TICKS>,
+    words: Mailbox<WordRecord, WORDS>,
+    edges: Mailbox<Edge, EDGES>,
 }
 
 /// The control interrupt's ends.
 pub struct ControlEnds<'a> {
-    pub(crate) ticks: Producer<'a, TickRecord>,
-    pub(crate) words: Producer<'a, WordRecord>,
+    pub(crate) ticks: &'a Mailbox<TickRecord, TICKS>,
+    pub(crate) words: &'a Mailbox<WordRecord, WORDS>,
+}
+
+/// The encoder interrupt's end.
+pub struct EncoderEnd<'a> {
+    pub(crate) edges: &'a Mailbox<Edge, EDGES>,
 }
 
 /// The transmit task's ends.
 pub struct TransmitEnds<'a> {
-    pub(crate) ticks: Consumer<'a, TickRecord>,
-    pub(crate) words: Consumer<'a, WordRecord>,
-    pub(crate) edges: Consumer<'a, Edge>,
+    pub(crate) ticks: &'a Mailbox<TickRecord, TICKS>,
+    pub(crate) words: &'a Mailbox<WordRecord, WORDS>,
+    pub(crate) edges: &'a Mailbox<Edge, EDGES>,
 }
 
 impl Queues {
     /// Empty queues.
     pub const fn new() -> Self {
-        Self { ticks: Queue::new(), words: Queue::new(), edges: Queue::new() }
+        Self { ticks: Mailbox::new(), words: Mailbox::new(), edges: Mailbox::new() }
     }
 
     /// The ends: for the control interrupt, the encoder interrupt and the transmit task.
-    pub fn split(&mut self) -> (ControlEnds<'_>, EdgeProducer<'_>, TransmitEnds<'_>) {
-        let (ticks_in, ticks) = self.ticks.split();
-        let (words_in, words) = self.words.split();
-        let (edges_in, edges) = self.edges.split();
-        (ControlEnds { ticks: ticks_in, words: words_in }, edges_in, TransmitEnds { ticks, words, edges })
+    pub fn split(&mut self) -> (ControlEnds<'_>, EncoderEnd<'_>, TransmitEnds<'_>) {
+        let Self { ticks, words, edges } = self;
+        (ControlEnds { ticks, words }, EncoderEnd { edges }, TransmitEnds { ticks, words, edges })
     }
 }

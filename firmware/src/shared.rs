@@ -2,11 +2,12 @@
 //! guarded by a short critical section.
 
 use crate::encoder::Encoder;
+use crate::mailbox::Mailbox;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
-use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
+use embassy_time::{Duration, Timer};
 use heapless::String;
-use portable_atomic::{AtomicU8, AtomicU32, Ordering};
+use portable_atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use twum_shared::Fault;
 use twum_shared::alignment::Failure;
 use twum_shared::message::{
@@ -98,12 +99,15 @@ pub enum DriverRequest {
 pub struct Shared {
     /// The encoder.
     pub encoder: Encoder,
-    pub(crate) commands: Channel<CriticalSectionRawMutex, Command, 8>,
-    pub(crate) events: Channel<CriticalSectionRawMutex, Event, 24>,
+    pub(crate) commands: Mailbox<Command, 8>,
+    pub(crate) events: Mailbox<Event, 24>,
     pub(crate) driver: Signal<CriticalSectionRawMutex, Errand>,
     pub(crate) status: Signal<CriticalSectionRawMutex, Status>,
     /// Signalled when the board is to restart itself; the motor is already off.
     pub reboot: Signal<CriticalSectionRawMutex, ()>,
+    keep: Signal<CriticalSectionRawMutex, Configuration>,
+    keeper: AtomicBool,
+    keeping: AtomicBool,
     requested_fault: AtomicU8,
     errand: AtomicU32,
     host_frames: AtomicU32,
@@ -125,11 +129,14 @@ impl Shared {
     pub const fn new() -> Self {
         Self {
             encoder: Encoder::new(),
-            commands: Channel::new(),
-            events: Channel::new(),
+            commands: Mailbox::new(),
+            events: Mailbox::new(),
             driver: Signal::new(),
             status: Signal::new(),
             reboot: Signal::new(),
+            keep: Signal::new(),
+            keeper: AtomicBool::new(false),
+            keeping: AtomicBool::new(false),
             requested_fault: AtomicU8::new(0),
             errand: AtomicU32::new(0),
             host_frames: AtomicU32::new(0),
@@ -156,9 +163,49 @@ impl Shared {
 
     /// Tells the host, or counts the loss where the queue is full: an event is never waited for.
     pub(crate) fn tell(&self, event: Event) {
-        if self.events.try_send(event).is_err() {
+        if self.events.push(event).is_err() {
             self.request_fault(Fault::QueueOverflow);
             self.lost_samples.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    pub(crate) fn log(&self, text: &str) {
+        self.tell(Event::Log(String::try_from(text).unwrap_or_default()));
+    }
+
+    /// This board keeps configurations.
+    pub(crate) fn will_keep(&self) {
+        self.keeper.store(true, Ordering::Release);
+    }
+
+    /// Hands a configuration to the board's store, if it has one. Until it is kept, the motor cannot be armed.
+    pub(crate) fn have_kept(&self, configuration: Configuration) {
+        if self.keeper.load(Ordering::Acquire) {
+            self.keeping.store(true, Ordering::Release);
+            self.keep.signal(configuration);
+        }
+    }
+
+    pub(crate) async fn to_keep(&self) -> Configuration {
+        self.keep.wait().await
+    }
+
+    pub(crate) fn kept(&self) {
+        // Another one may have come while this one was written.
+        if !self.keep.signaled() {
+            self.keeping.store(false, Ordering::Release);
+        }
+    }
+
+    pub(crate) fn is_keeping(&self) -> bool {
+        self.keeping.load(Ordering::Acquire)
+    }
+
+    /// Waits for room: the control interrupt takes two commands a tick.
+    pub(crate) async fn command(&self, mut command: Command) {
+        while let Err(refused) = self.commands.push(command) {
+            command = refused;
+            Timer::after(Duration::from_millis(1)).await;
         }
     }
 

@@ -130,7 +130,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
 
         self.observe(now_us, late_us, position);
         for _ in 0..2 {
-            if let Ok(command) = self.shared.commands.try_receive() {
+            if let Some(command) = self.shared.commands.pull() {
                 self.obey(command, now_us, position);
             }
         }
@@ -266,6 +266,9 @@ impl<'a, S: OutputStage> Control<'a, S> {
                 if self.configured.is_none() {
                     return Err(Refusal::NotConfigured);
                 }
+                if self.shared.is_keeping() {
+                    return Err(Refusal::Busy);
+                }
                 if !self.aligned {
                     return Err(Refusal::NotAligned);
                 }
@@ -295,8 +298,11 @@ impl<'a, S: OutputStage> Control<'a, S> {
         if self.hardware_mode { Err(Refusal::HardwareMode) } else { Ok(()) }
     }
 
-    fn configure(&mut self, message: Configuration) -> Result<(), Refusal> {
-        self.require(Mode::Idle)?;
+    /// Takes what the board kept, before the first tick. What does not validate leaves the board unconfigured.
+    ///
+    /// # Errors
+    /// Says why it was not taken.
+    pub fn restore(&mut self, message: Configuration) -> Result<(), Refusal> {
         let config = Config::try_from(message.control).map_err(Refusal::Config)?;
         let in_range = (2..=10_000).contains(&message.edges_per_rev) && (10..=2_000).contains(&message.pwm_hz);
         if message.limits.validate().is_err() || !in_range {
@@ -307,6 +313,13 @@ impl<'a, S: OutputStage> Control<'a, S> {
         self.monitor.reset();
         self.configured = Some(Configured { message, config });
         self.shared.tell(Event::Configured(message));
+        Ok(())
+    }
+
+    fn configure(&mut self, message: Configuration) -> Result<(), Refusal> {
+        self.require(Mode::Idle)?;
+        self.restore(message)?;
+        self.shared.have_kept(message);
         Ok(())
     }
 
@@ -375,7 +388,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
         if self.capture.control {
             let sample = self.sample(inputs, outputs, late_us);
             let record = TickRecord { tick, due_us, state: state_before, sample };
-            let lost = self.queues.ticks.enqueue(record).is_err();
+            let lost = self.queues.ticks.push(record).is_err();
             self.count_loss(lost);
         }
     }
@@ -439,7 +452,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
     fn send_word(&mut self, word: u32, samples: u8) {
         let first_sample = self.bits.samples - u64::from(samples);
         let record = WordRecord { first_sample, first_us: self.bits.word_us, samples, word };
-        let lost = self.queues.words.enqueue(record).is_err();
+        let lost = self.queues.words.push(record).is_err();
         self.count_loss(lost);
     }
 

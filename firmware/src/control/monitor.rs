@@ -99,7 +99,7 @@ impl Monitor {
         self.window_us += period_us;
         if self.window_us >= SPEED_WINDOW_US {
             let travelled = u64::from(seen.position.wrapping_sub(self.window_position).unsigned_abs());
-            let speed = travelled * 1_000_000 / u64::from(self.window_us);
+            let speed = travelled * 1_000_000 / u64::from(self.window_us.max(1));
             (self.window_us, self.window_position) = (0, seen.position);
             if speed > u64::from(limits.overspeed_counts_s) {
                 return Some(Fault::Overspeed);

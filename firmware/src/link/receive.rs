@@ -56,7 +56,7 @@ fn take(shared: &Shared, sequence: u32, message: HostMessage) {
 }
 
 fn command(shared: &Shared, sequence: u32, request: Request) {
-    if shared.commands.try_send(Command::Host(sequence, request)).is_err() {
+    if shared.commands.push(Command::Host(sequence, request)).is_err() {
         shared.tell(Event::Nack(sequence, Refusal::Busy));
     }
 }

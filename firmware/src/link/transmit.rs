@@ -35,7 +35,7 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
     let mut collector = Collector { queues, pending: None, edges_sent: 0, patience: [PATIENCE_TURNS; 3] };
     let mut lost_seen = 0;
     loop {
-        while let Ok(event) = shared.events.try_receive() {
+        while let Some(event) = shared.events.pull() {
             let message = describe(event, &about);
             transmitter.send(message).await;
         }
@@ -139,12 +139,12 @@ impl Collector<'_> {
     }
 
     fn control_block(&mut self) -> Option<ControlBlock> {
-        let first = self.pending.take().or_else(|| self.queues.ticks.dequeue())?;
+        let first = self.pending.take().or_else(|| self.queues.ticks.pull())?;
         let mut samples = Vec::new();
         let _ = samples.push(first.sample);
         let mut tick = first.tick;
         while samples.len() < BLOCK_SAMPLES {
-            let Some(record) = self.queues.ticks.dequeue() else { break };
+            let Some(record) = self.queues.ticks.pull() else { break };
             if record.tick != tick + 1 {
                 // A block holds consecutive ticks: what follows a gap, or starts a run, opens the next one.
                 self.pending = Some(record);
@@ -157,15 +157,15 @@ impl Collector<'_> {
     }
 
     fn bits_block(&mut self) -> Option<BitsBlock> {
-        let WordRecord { first_sample, first_us, samples, word } = self.queues.words.dequeue()?;
+        let WordRecord { first_sample, first_us, samples, word } = self.queues.words.pull()?;
         let mut block = BitsBlock { first_sample, first_us, samples: u16::from(samples), words: Vec::new() };
         let _ = block.words.push(word);
         while block.words.len() < WORDS_PER_BLOCK && block.samples.is_multiple_of(32) {
             let follows = |record: &WordRecord| record.first_sample == first_sample + u64::from(block.samples);
-            if !self.queues.words.peek().is_some_and(follows) {
+            if !self.queues.words.peek().as_ref().is_some_and(follows) {
                 break;
             }
-            let Some(record) = self.queues.words.dequeue() else { break };
+            let Some(record) = self.queues.words.pull() else { break };
             block.samples += u16::from(record.samples);
             let _ = block.words.push(record.word);
         }
@@ -173,14 +173,12 @@ impl Collector<'_> {
     }
 
     fn edges_block(&mut self, shared: &Shared) -> Option<EdgesBlock> {
-        let first = self.queues.edges.dequeue()?;
+        let first = self.queues.edges.pull()?;
         let mut edges: Vec<Edge, BLOCK_EDGES> = Vec::new();
         let _ = edges.push(first);
-        while let Some(edge) = self.queues.edges.peek() {
-            if edges.push(*edge).is_err() {
-                break;
-            }
-            let _ = self.queues.edges.dequeue();
+        while !edges.is_full() {
+            let Some(edge) = self.queues.edges.pull() else { break };
+            let _ = edges.push(edge);
         }
         let first_edge = self.edges_sent.wrapping_add(u64::from(shared.lost_edges()));
         self.edges_sent = self.edges_sent.wrapping_add(edges.len() as u64);
