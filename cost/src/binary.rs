@@ -4,7 +4,6 @@
 //! binary, so calls and stack are read, not guessed: a relocation inside one function that refers to another is a call of
 //! it. A call through a pointer leaves no relocation; the interrupts have one such, waking a task, which [`WAKING`] follows.
 
-use object::elf::FileHeader32;
 use object::read::elf::ElfFile32;
 use object::{
     Endianness, Object, ObjectSection, ObjectSymbol, RelocationTarget, SectionFlags, SectionKind, SymbolKind,
@@ -20,21 +19,6 @@ const ROOTS: [&str; 3] = ["interrupts::tick", "interrupts::edge", "interrupts::p
 const WAKING: &str = "embassy_executor::raw::waker::";
 /// Beyond this the scheduler is the RTOS's: it runs for a wake-up, after the control step, and its assertions are its own.
 const SCHEDULER: [&str; 3] = ["esp_rtos::", "esp_sync::", "__pender"];
-/// The library's floating-point routines.
-const FLOATS: [&str; 12] = [
-    "compiler_builtins::float",
-    "__add",
-    "__sub",
-    "__mul",
-    "__div",
-    "__fix",
-    "__float",
-    "__extendsf",
-    "__truncdf",
-    "__eq",
-    "__ge",
-    "__le",
-];
 /// Static memory and code in RAM, bytes.
 const RAM_BUDGET: u64 = 96 * 1024;
 /// What the interrupts may put on the stack, bytes.
@@ -74,13 +58,7 @@ pub fn inspect(path: &Path) -> io::Result<Vec<String>> {
         if name.contains("core::panicking") || name.contains("unwrap_failed") || name.contains("rust_begin_unwind") {
             problems.push(format!("the control interrupts can panic: {name}{by}"));
         }
-        if FLOATS.iter().any(|float| name.starts_with(float))
-            && (name.ends_with("f3")
-                || name.ends_with("f2")
-                || name.contains("df")
-                || name.contains("sf")
-                || name.contains("float"))
-        {
+        if is_float(name) {
             problems.push(format!("the control interrupts use floating point: {name}{by}"));
         }
     }
@@ -97,6 +75,12 @@ pub fn inspect(path: &Path) -> io::Result<Vec<String>> {
         println!("    in flash: {name}");
     }
     Ok(problems)
+}
+
+/// Whether a function is the compiler's for floating point: `__adddf3`, `__fixsfsi`, `__floatdidf` and so on.
+fn is_float(name: &str) -> bool {
+    let routine = name.strip_prefix("__").is_some_and(|rest| rest.contains("sf") || rest.contains("df"));
+    routine || name.contains("compiler_builtins::float")
 }
 
 /// Prints where the binary's bytes go; gives the static RAM.
@@ -214,4 +198,54 @@ fn depth(functions: &BTreeMap<u64, Function>, from: u64, known: &mut BTreeMap<u6
     let total = functions[&from].stack + below;
     known.insert(from, total);
     total
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn floating_point_is_told_from_wide_integers() {
+        for name in
+            ["__adddf3", "__mulsf3", "__fixdfsi", "__floatdidf", "__gedf2", "compiler_builtins::float::add::add"]
+        {
+            assert!(is_float(name), "{name}");
+        }
+        for name in
+            ["__udivdi3", "__muldi3", "__clzsi2", "memcpy", "twum_shared::step::step", "__rustc::rust_begin_unwind"]
+        {
+            assert!(!is_float(name), "{name}");
+        }
+    }
+
+    fn function(name: &str, calls: &[u64], stack: u64) -> Function {
+        Function { name: name.into(), end: 0, calls: calls.iter().copied().collect(), stack }
+    }
+
+    #[test]
+    fn reach_follows_calls_and_stops_at_the_scheduler() {
+        let functions = BTreeMap::from([
+            (1, function("interrupts::tick", &[2, 3], 10)),
+            (2, function("step", &[4], 20)),
+            (3, function("esp_rtos::wake", &[5], 30)),
+            (4, function("core::panicking::panic", &[1], 40)),
+            (5, function("esp_rtos::schedule", &[], 500)),
+            (6, function("elsewhere", &[], 600)),
+        ]);
+        let reached = reach(&functions, &[1]);
+        assert_eq!(reached.keys().copied().collect::<Vec<_>>(), [1, 2, 3, 4]);
+        assert_eq!(reached[&4], Some(2));
+        // A call back to where it came from counts once.
+        assert_eq!(depth(&functions, 2, &mut BTreeMap::new()), 20 + 40 + 10 + 30 + 500);
+    }
+
+    #[test]
+    fn flash_is_told_from_ram() {
+        for flash in [0x3c00_0020, 0x4201_0020, 0x3f40_0020] {
+            assert!(is_flash(flash), "{flash:#x}");
+        }
+        for ram in [0x3fc8_0000, 0x4038_0000, 0x4080_0000, 0x3ffb_0000, 0x4008_0000, 0x5000_0000] {
+            assert!(!is_flash(ram), "{ram:#x}");
+        }
+    }
 }

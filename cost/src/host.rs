@@ -83,7 +83,7 @@ fn measure(guest: &Path) -> io::Result<bool> {
 fn report(runs: &[Run], rows: &[u8], frames: &[u8]) -> io::Result<bool> {
     let mut rows = rows.as_chunks::<ROW_BYTES>().0.iter().map(Row::from_bytes);
     let mut frames = FrameReader(frames);
-    let (mut steps, mut doubles): (Vec<(&str, Costs)>, Vec<(&str, Costs)>) = (Vec::new(), Vec::new());
+    let (mut steps, mut doubles) = (Table::new(), Table::new());
     let (mut control_frames, mut different, mut compared) = (Costs::default(), 0u64, 0u64);
     for run in runs {
         let (mut step_costs, mut doubles_costs) = (Costs::default(), Costs::default());
@@ -219,7 +219,10 @@ impl Costs {
     }
 }
 
-fn merge<'a>(table: &mut Vec<(&'a str, Costs)>, name: &'a str, more: Costs) {
+/// Costs by the name of their inputs, in the order they came.
+type Table<'a> = Vec<(&'a str, Costs)>;
+
+fn merge<'a>(table: &mut Table<'a>, name: &'a str, more: Costs) {
     match table.iter_mut().find(|(known, _)| *known == name) {
         Some((_, costs)) => {
             (costs.calls, costs.sum) = (costs.calls + more.calls, costs.sum + more.sum);
@@ -273,9 +276,9 @@ fn random(pcg: &mut Pcg) -> Run {
             integral_max: (pcg.next() >> (1 + pcg.next() % 31)) as i32,
             period_us: 500,
             duty_steps: (2 + pcg.next() % 32_767) as u16,
-            law: if pcg.next() % 2 == 0 { DriveLaw::ActiveLowTruncated } else { DriveLaw::OnTimeRounded },
-            dead_band_counts: if pcg.next() % 2 == 0 { 0 } else { (pcg.next() % 8) as u16 },
-            conditional_integration: pcg.next() % 2 == 0,
+            law: if pcg.coin() { DriveLaw::ActiveLowTruncated } else { DriveLaw::OnTimeRounded },
+            dead_band_counts: if pcg.coin() { 0 } else { (pcg.next() % 8) as u16 },
+            conditional_integration: pcg.coin(),
         };
         if let Ok(config) = Config::try_from(spec) {
             break config;
@@ -308,8 +311,12 @@ impl Pcg {
         shifted.rotate_right((self.0 >> 59) as u32)
     }
 
+    fn coin(&mut self) -> bool {
+        self.next() & 1 == 0
+    }
+
     fn wide(&mut self) -> i64 {
-        (i64::from(self.next()) << 32 | i64::from(self.next())) as i64
+        i64::from(self.next()) << 32 | i64::from(self.next())
     }
 }
 

@@ -67,7 +67,7 @@ pub fn control_block(first_tick: u64, state: State, ticks: &[(Inputs, Outputs)])
 
 /// A full block of edges, 4 ms apart.
 pub fn edges_block() -> DeviceMessage {
-    let edge = |n: u32| Edge { time_us: 4_000_000 + 4_321 * n, level: n % 2 == 0, direction: Direction::Cw };
+    let edge = |n: u32| Edge { time_us: 4_000_000 + 4_321 * n, level: n & 1 == 0, direction: Direction::Cw };
     DeviceMessage::Edges(EdgesBlock { first_edge: 1000, edges: (0..BLOCK_EDGES as u32).map(edge).collect() })
 }
 

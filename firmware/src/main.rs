@@ -1,4 +1,4 @@
-//! The binary for a chip: see [`chip`]. Everything else is the library.
+//! The binary for a chip: see the module `chip`. Everything else is the library.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 // Inline assembly for Xtensa is not stable; espup's toolchain takes it.
 #![cfg_attr(target_arch = "xtensa", feature(asm_experimental_arch))]

@@ -365,7 +365,7 @@ mod tests {
             let mut error = 0;
             // A walk with rare jumps: what a tracking error looks like, with every saturation and sign in it.
             let (ticks, different, largest) = differences((0..100_000).map(|_| {
-                error = if pcg.next() % 500 == 0 {
+                error = if pcg.next().is_multiple_of(500) {
                     pcg.within(-90, 90)
                 } else {
                     (error + pcg.within(-1, 1)).clamp(-60, 60)
