@@ -93,7 +93,7 @@ fn add(sweep: &Sweep, layout: Layout, current: &Fit) -> Option<Fit> {
             (0, Some(mode)) => Circuit { modes: vec![mode], ..capacitor(sweep, |f| mode.admittance(f)) },
             (0, None) => continue,
             _ => {
-                let Some(mode) = strongest(sweep, current, &taken) else { return None };
+                let mode = strongest(sweep, current, &taken)?;
                 taken.push(mode.fs_hz);
                 let mut start = current.circuit();
                 start.modes.push(mode);

@@ -14,12 +14,12 @@ pub const FEWEST_POINTS: usize = 20;
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
     /// The file system said no.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// The cause.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// A line or cell is wrong.
     #[error("{}, line {line}: {message}", path.display())]
@@ -104,7 +104,7 @@ fn line(path: &Path, line: usize, message: impl Into<String>) -> ReadError {
 }
 
 fn text(path: &Path) -> Result<String, ReadError> {
-    let bytes = std::fs::read(path).map_err(|source| ReadError::Io { path: path.to_owned(), source })?;
+    let bytes = std::fs::read(path).map_err(|cause| ReadError::Io { path: path.to_owned(), cause })?;
     String::from_utf8(bytes)
         .map(|t| t.trim_start_matches('\u{feff}').to_owned())
         .map_err(|_| file(path, "is not text; expected CSV or Touchstone"))
@@ -225,7 +225,7 @@ fn empty(frequency_hz: f64) -> Waveform {
 
 /// A folder of `time_s,v1,v2` files, the frequency in a comment `# frequency_hz = …` or in the file's name.
 fn folder(path: &Path, options: &ReadOptions) -> Result<Sweep, ReadError> {
-    let io = |source| ReadError::Io { path: path.to_owned(), source };
+    let io = |cause| ReadError::Io { path: path.to_owned(), cause };
     let mut files: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(path).map_err(io)? {
         let file = entry.map_err(io)?.path();

@@ -27,15 +27,15 @@ pub enum SaveError {
     #[error(transparent)]
     Motor(#[from] MotorError),
     /// The file could not be written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     Write {
         /// The file.
         path: PathBuf,
         /// The cause.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// It could not be put as TOML.
-    #[error("cannot write a motor as TOML: {0}")]
+    #[error("cannot write a motor as TOML")]
     Toml(#[from] toml::ser::Error),
     /// There is nothing to save.
     #[error("nothing to save: {0}")]
@@ -81,7 +81,7 @@ pub fn save(path: &Path, base: &str, updates: &[Update]) -> Result<(), SaveError
     }
     let text = motor.to_toml()?;
     Motor::parse(&path.display().to_string(), &text)?;
-    let failed = |source| SaveError::Write { path: path.to_owned(), source };
+    let failed = |cause| SaveError::Write { path: path.to_owned(), cause };
     let beside = path.with_extension("toml.new");
     std::fs::write(&beside, text).map_err(failed)?;
     std::fs::rename(&beside, path).map_err(failed)

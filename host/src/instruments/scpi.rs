@@ -16,22 +16,22 @@ const LARGEST_BLOCK: usize = 64 << 20;
 #[derive(Debug, thiserror::Error)]
 pub enum InstrumentError {
     /// It could not be opened.
-    #[error("{address}: {source}; check the address, the cable and, for /dev/usbtmc*, that you may read and write it")]
+    #[error("{address}: {cause}; check the address, the cable and, for /dev/usbtmc*, that you may read and write it")]
     Open {
         /// Where it was looked for.
         address: String,
         /// The cause.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// The line broke or fell silent.
-    #[error("{address}: `{command}`: {source}")]
+    #[error("{address}: `{command}`: {cause}")]
     Link {
         /// Which instrument.
         address: String,
         /// What was sent.
         command: String,
         /// The cause.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// It answered something else than expected.
     #[error("{address}: `{command}` answered `{answer}`: {expected}")]
@@ -71,7 +71,7 @@ impl Scpi {
     /// # Errors
     /// [`InstrumentError::Open`] when there is nothing there.
     pub fn open(address: &str) -> Result<Self, InstrumentError> {
-        let failed = |source| InstrumentError::Open { address: address.to_owned(), source };
+        let failed = |cause| InstrumentError::Open { address: address.to_owned(), cause };
         let line = if address.starts_with('/') {
             Line::Usbtmc(OpenOptions::new().read(true).write(true).open(address).map_err(failed)?)
         } else {
@@ -117,7 +117,7 @@ impl Scpi {
             Line::Tcp(stream) => stream.write_all(message.as_bytes()),
             Line::Usbtmc(file) => file.write_all(message.as_bytes()),
         }
-        .map_err(|source| self.broken(command, source))
+        .map_err(|cause| self.broken(command, cause))
     }
 
     /// Sends a query and returns its answer, white space around it removed.
@@ -244,8 +244,8 @@ impl Scpi {
         }
     }
 
-    fn broken(&self, command: &str, source: std::io::Error) -> InstrumentError {
-        InstrumentError::Link { address: self.address.clone(), command: command.to_owned(), source }
+    fn broken(&self, command: &str, cause: std::io::Error) -> InstrumentError {
+        InstrumentError::Link { address: self.address.clone(), command: command.to_owned(), cause }
     }
 
     /// An error about an answer.

@@ -24,12 +24,12 @@ pub enum SweepError {
     #[error(transparent)]
     Instrument(#[from] InstrumentError),
     /// The file could not be read or written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     File {
         /// The file.
         path: PathBuf,
         /// The cause.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// The file belongs to another sweep.
     #[error(
@@ -126,7 +126,7 @@ pub fn run(
     mut progress: impl FnMut(usize, usize),
 ) -> Result<usize, SweepError> {
     let frequencies = plan.frequencies()?;
-    let failed = |source| SweepError::File { path: path.to_owned(), source };
+    let failed = |cause| SweepError::File { path: path.to_owned(), cause };
     let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).map_err(failed)?;
     if !file.metadata().map_err(failed)?.is_file() {
         return Err(SweepError::Plan(format!("{}: a sweep is written to an ordinary file", path.display())));
@@ -178,7 +178,7 @@ fn label(frequency_hz: f64) -> String {
 
 /// The frequencies already in the file; what follows the last whole one is cut off. A new file gets its head.
 fn resume(plan: &Plan, path: &Path, file: &mut std::fs::File) -> Result<HashSet<String>, SweepError> {
-    let failed = |source| SweepError::File { path: path.to_owned(), source };
+    let failed = |cause| SweepError::File { path: path.to_owned(), cause };
     let mut text = String::new();
     file.read_to_string(&mut text).map_err(failed)?;
     let headline = plan.headline();

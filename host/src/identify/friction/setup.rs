@@ -10,12 +10,12 @@ const GRAVITY: f64 = 9.80665;
 #[derive(Debug, thiserror::Error)]
 pub enum FrictionError {
     /// The file system said no.
-    #[error("{path}: {source}")]
+    #[error("{path}: {cause}")]
     Io {
         /// File or folder.
         path: String,
         /// The cause.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// `friction.toml` is not right.
     #[error("{path}: {message}")]
@@ -115,7 +115,7 @@ impl Setup {
     pub fn load(folder: &Path) -> Result<Self, FrictionError> {
         let path = folder.join("friction.toml");
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(&path).map_err(|source| FrictionError::Io { path: name.clone(), source })?;
+        let text = std::fs::read_to_string(&path).map_err(|cause| FrictionError::Io { path: name.clone(), cause })?;
         let setup: Self = toml::from_str(&text)
             .map_err(|e| FrictionError::Setup { path: name.clone(), message: e.to_string().trim().to_owned() })?;
         setup.check().map_err(|message| FrictionError::Setup { path: name, message })?;

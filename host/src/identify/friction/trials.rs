@@ -109,7 +109,7 @@ pub fn load(folder: &Path, setup: &Setup, allow_missing: bool) -> Result<Trials,
 
 /// Files named `<speed>_rpm_<trial>.csv` or `.xlsx`.
 fn list(root: &Path) -> Result<BTreeMap<(u32, usize), PathBuf>, FrictionError> {
-    let io = |source| FrictionError::Io { path: root.display().to_string(), source };
+    let io = |cause| FrictionError::Io { path: root.display().to_string(), cause };
     let mut files = BTreeMap::new();
     for entry in std::fs::read_dir(root).map_err(io)? {
         let path = entry.map_err(io)?.path();
