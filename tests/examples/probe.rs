@@ -56,8 +56,9 @@ fn main() {
             let mut achieved = 0.0;
             if name != "null" {
                 let mut rng = ChaCha8Rng::seed_from_u64(seed);
-                hidden.push(Hidden::draw(name, &mut rng));
-                achieved = sealed.scale_to(&mut hidden, rho);
+                let mut one = Hidden::draw(name, &mut rng);
+                achieved = sealed.scale_to(&mut one, rho);
+                hidden.push(one);
             }
             let data = sealed.make(&hidden);
             let t1 = Instant::now();

@@ -206,7 +206,7 @@ impl Sealed {
                 drift = 0.1 * clock;
             }
             if h.name == "dropped-samples" {
-                let gaps = (h.size * 6.0).ceil() as usize;
+                let gaps = usize::from(rng.random::<f64>() < h.size) + usize::from(rng.random::<f64>() < h.size - 1.0);
                 let mut at: Vec<usize> = (0..gaps).map(|_| rng.random_range(100..samples.max(200))).collect();
                 at.sort_unstable();
                 drop = Some(at);
@@ -230,21 +230,47 @@ impl Sealed {
     }
 
     /// Scales the first of `hidden` until its strength is `rho`. Returns the achieved strength.
-    pub fn scale_to(&self, hidden: &mut [Hidden], rho: f64) -> f64 {
-        let noise = self.floor(&[]);
-        let others: Vec<Hidden> = hidden[1..].to_vec();
+    ///
+    /// The strength is read from every other run: sizes below 0.02 or above the effect's largest are not used.
+    pub fn scale_to(&self, hidden: &mut Hidden, rho: f64) -> f64 {
+        let part = self.part();
+        let noise = part.floor(&[]);
+        let (mut low, mut high) = (0.01, hidden.largest());
+        hidden.size = hidden.size.min(high);
         let mut achieved = 0.0;
-        for _ in 0..5 {
-            let mut set = vec![hidden[0].clone()];
-            set.extend(others.iter().cloned());
-            let total = self.floor(&set[..1]);
-            achieved = ((total * total - noise * noise).max(1e-9)).sqrt() / noise;
-            if (achieved / rho - 1.0).abs() < 0.04 {
+        for _ in 0..7 {
+            let total = part.floor(std::slice::from_ref(hidden));
+            achieved = (total * total - noise * noise).max(1e-6).sqrt() / noise;
+            if (achieved / rho - 1.0).abs() < 0.05 || (achieved < rho && hidden.size >= 0.999 * high && high == hidden.largest()) {
                 break;
             }
-            hidden[0].size = (hidden[0].size * (rho / achieved).clamp(0.2, 4.0)).min(3.0);
+            if achieved < rho {
+                low = hidden.size;
+            } else {
+                high = hidden.size;
+            }
+            let guess = hidden.size * (rho / achieved).clamp(0.3, 3.0);
+            hidden.size = if guess > low && guess < high { guess } else { (low * high).sqrt() };
+            if high < 1.02 * low {
+                break;
+            }
         }
         achieved
+    }
+
+    /// A third of the experiment, for reading strengths.
+    fn part(&self) -> Self {
+        let mut part = self.clone();
+        let kept = (self.order.len() / 3).max(6).min(self.order.len());
+        // Every kind of run once: the order is random, the first of each kind will do.
+        let mut seen = Vec::new();
+        part.order.retain(|run| {
+            let new = !seen.contains(run);
+            seen.push(*run);
+            new
+        });
+        part.order.truncate(kept.max(part.design.duties.len() * 2));
+        part
     }
 
     /// RMS of the speed residual in rpm after a refit of the motor's own parameters.
@@ -252,12 +278,11 @@ impl Sealed {
         let data = self.make(hidden);
         let mut motor = self.motor.clone();
         let mut latency = self.nuisance.latency_s;
-        let mut rms = f64::INFINITY;
-        for _ in 0..3 {
-            let base = self.residual(&data, &motor, latency);
-            let total: f64 = base.iter().map(|r| r * r).sum();
-            let seconds: f64 = data.runs.iter().map(|r| r.levels.len() as f64 * SAMPLE_S).sum();
-            rms = rms.min((total / seconds).sqrt());
+        let seconds: f64 = data.runs.iter().map(|r| r.levels.len() as f64 * SAMPLE_S).sum();
+        let mut base = self.residual(&data, &motor, latency);
+        let square = |r: &[f64]| r.iter().map(|v| v * v).sum::<f64>();
+        let mut best = square(&base);
+        for _ in 0..8 {
             let mut columns = Vec::new();
             for k in 0..5 {
                 let (m, l, h) = nudged(&motor, latency, k);
@@ -265,12 +290,28 @@ impl Sealed {
                 columns.push(moved.iter().zip(&base).map(|(a, b)| (a - b) / h).collect::<Vec<f64>>());
             }
             let step = least_squares(&columns, &base);
-            motor.crest_speed *= 1.0 - step[0].clamp(-0.3, 0.3);
-            motor.contact *= 1.0 - step[1].clamp(-0.3, 0.3);
-            motor.off_friction *= 1.0 - step[2].clamp(-0.3, 0.3);
-            motor.viscous = (motor.viscous * (1.0 - step[3].clamp(-0.9, 0.9))).max(0.0);
-            latency -= step[4].clamp(-1e-3, 1e-3);
+            let mut factor = 1.0;
+            let before = best;
+            for _ in 0..4 {
+                let mut m = motor.clone();
+                m.crest_speed *= 1.0 - (factor * step[0]).clamp(-0.3, 0.3);
+                m.contact *= 1.0 - (factor * step[1]).clamp(-0.5, 0.5);
+                m.off_friction *= 1.0 - (factor * step[2]).clamp(-0.5, 0.5);
+                m.viscous = (m.viscous * (1.0 - (factor * step[3]).clamp(-3.0, 0.95))).max(1e-3);
+                let l = latency - (factor * step[4]).clamp(-1e-3, 1e-3);
+                let trial = self.residual(&data, &m, l);
+                if square(&trial) < best {
+                    best = square(&trial);
+                    (motor, latency, base) = (m, l, trial);
+                    break;
+                }
+                factor *= 0.4;
+            }
+            if before - best < 2e-3 * before {
+                break;
+            }
         }
+        let rms = (best / seconds).sqrt();
         rms
     }
 
@@ -530,10 +571,10 @@ impl<'a> Trace<'a> {
                     self.warm[0] += (heat - self.warm[0]) * DT / tau;
                     self.warm[1] += (heat - self.warm[1]) * DT / (3.0 * tau);
                     let warm = 0.75 * self.warm[0] + 0.25 * self.warm[1];
-                    d.gain /= 1.0 + 0.8 * s * warm;
+                    d.gain *= (1.0 + 0.3 * s) / (1.0 + 0.8 * s * warm);
                 }
                 "frequency-settling" => {
-                    let tau = h.between(0, 0.02, 0.06);
+                    let tau = h.between(0, 0.03, 0.08);
                     let x = t / tau;
                     d.gain *= (1.0 + 1.5 * s * h.sign() * (1.0 + 0.6 * x) * (-1.2 * x).exp()).max(0.05);
                 }
@@ -557,8 +598,8 @@ impl<'a> Trace<'a> {
                     d.drag += 1.6 * s * self.motor.contact / (1.0 + x * x) / (1.0 + 0.3 * x * x);
                 }
                 "supply-sag" => {
-                    self.sagged += (if d.on { 1.0 } else { 0.0 } - self.sagged) * DT / 0.04;
-                    d.gain *= 1.0 - 0.5 * s * self.sagged;
+                    self.sagged += (if d.on { 1.0 } else { 0.0 } - self.sagged) * DT / 0.01;
+                    d.gain *= 1.0 - 0.5 * s * (self.sagged - 0.6);
                 }
                 "run-in-wear" => {
                     let r0 = h.between(0, 1.0, 15.0);

@@ -42,6 +42,18 @@ impl Hidden {
         Self { name, size: 0.3, shape: [rng.random(), rng.random(), rng.random(), rng.random()] }
     }
 
+    /// Largest size that makes sense: beyond it the motor no longer turns, or the form is no longer itself.
+    pub fn largest(&self) -> f64 {
+        match self.name {
+            "stribeck-friction" => 0.55,
+            "frequency-settling" => 0.6,
+            "duty-quantisation" => 0.6,
+            "resonance-heating" | "supply-sag" | "start-delay" | "contact-stiffening" => 1.2,
+            "clock-error" => 2.0,
+            _ => 1.5,
+        }
+    }
+
     /// Sign drawn with the shape.
     pub fn sign(&self) -> f64 {
         if self.shape[3] < 0.5 { -1.0 } else { 1.0 }

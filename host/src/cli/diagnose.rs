@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::diagnose::{Options, answer, diagnose, effects};
+use twum_host::diagnose::{Options, answer, diagnose, effects, report};
 use twum_host::record::measurement::Measurement;
 
 /// Arguments of `twum diagnose`.
@@ -27,6 +27,9 @@ pub struct Args {
     /// Print JSON
     #[arg(long)]
     json: bool,
+    /// Write a self-contained HTML report with the residual pictures
+    #[arg(long, value_name = "OUT.html")]
+    report: Option<PathBuf>,
     /// Seed of every random choice: the same seed gives the same answer
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -49,27 +52,26 @@ pub fn run(args: Args) -> Result<ExitCode> {
     for folder in &args.folders {
         measurements.push(Measurement::load(folder).with_context(|| format!("reading {}", folder.display()))?);
     }
-    let bar = ProgressBar::new(100)
-        .with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
-    let options = Options {
-        seed: args.seed,
-        quick: args.quick,
-        coasting: args.flavour == FlavourArg::Thesis,
-        ..Options::default()
-    };
-    let (diagnosis, _details) = diagnose(&measurements, &options, &|what, share| {
+    let bar = ProgressBar::new(100).with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
+    let options =
+        Options { seed: args.seed, quick: args.quick, coasting: args.flavour == FlavourArg::Thesis, ..Options::default() };
+    let (diagnosis, details) = diagnose(&measurements, &options, &|what, share| {
         bar.set_message(what.to_owned());
         bar.set_position((share * 100.0) as u64);
     })?;
     bar.finish_and_clear();
+    let library = effects::library(3.65, 1888.0);
+    let says = |name: &str| library.iter().find(|e| e.name == name).map(|e| (e.says, e.equation));
+    if let Some(path) = &args.report {
+        let title: Vec<&str> = measurements.iter().map(|m| m.name.as_str()).collect();
+        let page = report::page(&title.join(", "), &diagnosis, details.as_ref(), &says).context("drawing the report")?;
+        page.write(path).with_context(|| format!("writing {}", path.display()))?;
+        eprintln!("wrote {}", path.display());
+    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&diagnosis)?);
     } else {
-        let library = effects::library(3.65, 1888.0);
-        print!(
-            "{}",
-            answer::text(&diagnosis, &|name| library.iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
-        );
+        print!("{}", answer::text(&diagnosis, &says));
     }
     Ok(ExitCode::SUCCESS)
 }

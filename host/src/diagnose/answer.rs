@@ -209,6 +209,59 @@ impl Diagnosis {
         }
     }
 
+    /// The answer for an ordinary motor.
+    pub fn of_inertial(outcome: &super::inertial::InertialOutcome, replicated: bool, notes: Vec<String>, seed: u64) -> Self {
+        Self::of_parts(&outcome.findings, &outcome.unknown, &outcome.held_out, outcome.noise_floor, replicated, notes, seed)
+    }
+
+    /// The answer for one run.
+    pub fn of_single(outcome: &super::single::SingleOutcome, notes: Vec<String>, seed: u64) -> Self {
+        let mut d =
+            Self::of_parts(&outcome.findings, &outcome.unknown, &outcome.held_out, outcome.noise_floor, false, notes, seed);
+        d.baseline.scores.rmse_position_deg = Some(outcome.position_deg[0]);
+        d.extended.rmse_position_deg = Some(outcome.position_deg[1]);
+        d.not_judged = outcome.not_judged.iter().cloned().collect();
+        d
+    }
+
+    fn of_parts(
+        findings: &[Finding],
+        unknown: &[Unknown],
+        held_out: &super::stats::HeldOut,
+        floor: f64,
+        replicated: bool,
+        notes: Vec<String>,
+        seed: u64,
+    ) -> Self {
+        let any = |s: Status| findings.iter().any(|f| f.status == s);
+        let left = unknown.iter().map(|u| u.gain).fold(0.0, f64::max);
+        let verdict = if any(Status::Named) {
+            Verdict::Named
+        } else if any(Status::Ambiguous) {
+            Verdict::Ambiguous
+        } else if left >= super::search::LEAST_GAIN {
+            Verdict::Unknown
+        } else {
+            Verdict::None
+        };
+        let (base, extended) = (held_out.rmse(0), held_out.rmse(1));
+        let mut d = Self::impossible(notes, seed);
+        d.verdict = verdict;
+        d.replicated = replicated;
+        d.baseline = BaselineScores {
+            scores: Scores { r2_speed: None, rmse_speed_rpm: Some(base), rmse_position_deg: None },
+            noise_floor: floor,
+        };
+        d.extended.rmse_speed_rpm = Some(extended);
+        d.effects = findings.iter().map(effect_answer).collect();
+        d.unexplained_fraction = Some(((extended * extended - floor * floor) / (base * base)).clamp(0.0, 1.0));
+        d.unknown = unknown
+            .iter()
+            .map(|u| UnknownAnswer { lives_in: u.lives_in.to_owned(), gain_heldout: u.gain, p_null: u.p_null })
+            .collect();
+        d
+    }
+
     /// Named effects.
     pub fn named(&self) -> Vec<&str> {
         self.effects.iter().filter(|e| e.status == "named").map(|e| e.name.as_str()).collect()
@@ -252,7 +305,7 @@ fn effect_answer(f: &Finding) -> EffectAnswer {
 }
 
 /// The page a person reads. `says` gives the sentence and the equation of an effect.
-pub fn text(d: &Diagnosis, says: &dyn Fn(&str) -> Option<(&'static str, &'static str)>) -> String {
+pub fn text(d: &Diagnosis, says: super::effects::Says) -> String {
     let mut out = String::new();
     let mut line = |s: String| {
         let _ = writeln!(out, "{s}");

@@ -51,6 +51,9 @@ pub struct Effect {
     pub next_experiment: &'static str,
 }
 
+/// The sentence and the equation of an effect.
+pub type Says<'a> = &'a dyn Fn(&str) -> Option<(&'static str, &'static str)>;
+
 fn scalar(parameter: P, scale: f64, step: f64, shape: &[(P, f64)]) -> Column {
     Column::Scalar { parameter, scale, step, shape: shape.to_vec() }
 }
@@ -79,16 +82,17 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             name: "resonance-heating",
             says: "the motor slows as it warms up: its resonance drifts away from the drive frequency",
             equation: "dT/dt = (u − T)/τ, speed·(1 − h·T)",
-            shapes: [0.3, 0.8, 2.0, 5.0, 15.0]
+            shapes: [0.5, 1.0, 2.0, 5.0, 15.0]
                 .iter()
                 .flat_map(|tau| {
-                    [0.0, 0.5, 0.9]
-                        .map(|carry| shaped(P::HeatLoss, 0.2, 0.02, vec![(P::HeatTau, *tau), (P::HeatCarry, carry)]))
+                    [0.0, 0.5, 0.9].map(|carry| {
+                        shaped(P::HeatLoss, 0.2, 0.02, vec![(P::HeatTau, *tau), (P::HeatCarry, carry)])
+                    })
                 })
                 .collect(),
             reported: vec![
                 size("speed_loss_warm", "1", P::HeatLoss, 0.0, 0.9),
-                form("thermal_time_s", "s", P::HeatTau, 0.15, 60.0),
+                form("thermal_time_s", "s", P::HeatTau, 0.3, 60.0),
                 form("warmth_kept_between_runs", "1", P::HeatCarry, 0.0, 1.0),
             ],
             conflicts: &["run-in-wear", "supply-sag"],
@@ -103,7 +107,7 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
                 .map(|tau| shaped(P::SettleExcess, 0.3, 0.02, vec![(P::SettleTau, *tau)]))
                 .collect(),
             reported: vec![
-                size("relative_excess_at_start", "1", P::SettleExcess, -0.95, 2.0),
+                size("relative_excess_at_start", "1", P::SettleExcess, -1.5, 3.0),
                 form("settling_time_s", "s", P::SettleTau, 0.002, 0.4),
             ],
             conflicts: &["resonance-heating", "start-delay"],
@@ -140,12 +144,13 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             name: "duty-quantisation",
             says: "the duty is rounded to a coarse grid",
             equation: "u → round(N·u)/N",
-            shapes: [
-                5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 20.0, 24.0, 25.0, 31.0, 32.0, 50.0,
-            ]
-            .iter()
-            .map(|n| shaped(P::QuantShare, 1.0, 0.5, vec![(P::QuantSteps, *n)]))
-            .collect(),
+            shapes: (3..=26)
+                .chain([31, 32, 40, 50, 64])
+                .map(f64::from)
+                .collect::<Vec<f64>>()
+                .iter()
+                .map(|n| shaped(P::QuantShare, 1.0, 0.5, vec![(P::QuantSteps, *n)]))
+                .collect(),
             reported: vec![
                 size("rounding_share", "1", P::QuantShare, 0.5, 1.5),
                 form("duty_steps", "1", P::QuantSteps, 2.0, 4096.0),
@@ -176,7 +181,11 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             says: "the motor is faster in one direction than in the other",
             equation: "speed·(1 ± g), braking·(1 ± b)",
             shapes: vec![
-                Shape { columns: vec![scalar(P::AsymSpeed, 0.1, 0.005, &[])], pinned: Vec::new(), phased: false },
+                Shape {
+                    columns: vec![scalar(P::AsymSpeed, 0.1, 0.005, &[])],
+                    pinned: Vec::new(),
+                    phased: false,
+                },
                 Shape {
                     columns: vec![scalar(P::AsymSpeed, 0.1, 0.005, &[]), scalar(P::AsymBrake, 0.3, 0.03, &[])],
                     pinned: Vec::new(),
@@ -207,11 +216,7 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             name: "encoder-eccentricity",
             says: "the encoder wheel is not centred: its angle errs once a turn, the same at every duty",
             equation: "θ_measured = θ + e·sin(θ − φ)",
-            shapes: vec![Shape {
-                columns: (0..2).map(Column::Eccentricity).collect(),
-                pinned: Vec::new(),
-                phased: true,
-            }],
+            shapes: vec![Shape { columns: (0..2).map(Column::Eccentricity).collect(), pinned: Vec::new(), phased: true }],
             reported: Vec::new(),
             conflicts: &["preload-runout"],
             next_experiment: "re-seat the rotor by 90° against the encoder wheel and repeat one run: runout turns with the rotor, eccentricity stays with the wheel",
@@ -241,12 +246,7 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             shapes: [0.15, 0.4, 1.0, 2.0]
                 .iter()
                 .map(|vs| {
-                    shaped(
-                        P::StribeckDeceleration,
-                        0.5 * on_acceleration,
-                        0.05 * on_acceleration,
-                        vec![(P::StribeckSpeed, *vs)],
-                    )
+                    shaped(P::StribeckDeceleration, 0.5 * on_acceleration, 0.05 * on_acceleration, vec![(P::StribeckSpeed, *vs)])
                 })
                 .collect(),
             reported: vec![
@@ -269,10 +269,7 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             name: "run-in-wear",
             says: "the motor changes for good from run to run, with the distance it has turned",
             equation: "speed·(1 + w·log(1 + revs/r₀))",
-            shapes: [0.3, 3.0, 30.0]
-                .iter()
-                .map(|r0| shaped(P::Wear, 0.05, 0.002, vec![(P::WearRevolutions, *r0)]))
-                .collect(),
+            shapes: [0.3, 3.0, 30.0].iter().map(|r0| shaped(P::Wear, 0.05, 0.002, vec![(P::WearRevolutions, *r0)])).collect(),
             reported: vec![
                 size("change_per_log_revolution", "1", P::Wear, -0.3, 0.3),
                 form("run_in_revolutions", "1", P::WearRevolutions, 0.03, 1000.0),
@@ -320,7 +317,8 @@ pub fn not_judged(effect: &str, problem: &Problem, coasting_baseline: bool) -> O
     let pwm = duties.iter().any(|d| *d > 0.0 && *d < 1.0 - 1e-9) || any_track;
     let edges = runs.iter().any(|r| r.pitch > 0.0);
     let levels = runs.iter().any(|r| r.pitch > 0.0 && r.level.iter().any(|l| *l != 0));
-    let directions = any_track || (runs.iter().any(|r| r.direction > 0.0) && runs.iter().any(|r| r.direction < 0.0));
+    let directions =
+        any_track || (runs.iter().any(|r| r.direction > 0.0) && runs.iter().any(|r| r.direction < 0.0));
     let turns = runs.iter().map(|r| r.revolutions()).fold(0.0, f64::max);
     let missing = |what: &str| Some(what.to_owned());
     match effect {
@@ -338,9 +336,7 @@ pub fn not_judged(effect: &str, problem: &Problem, coasting_baseline: bool) -> O
         "unequal-edges" if !levels => missing("needs encoder edges"),
         "clock-error" if !pwm || !edges => missing("needs edges of runs below full duty: the PWM line is the clock"),
         "run-in-wear" if !problem.ordered() || runs.len() < 4 => missing("needs the order of at least four runs"),
-        "backlash" | "reversal-miscount" | "presliding" if !any_track => {
-            missing("needs closed-loop runs with reversals")
-        }
+        "backlash" | "reversal-miscount" | "presliding" if !any_track => missing("needs closed-loop runs with reversals"),
         "resonance-heating" if runs.iter().all(|r| r.record_end < 0.8) => missing("needs runs of a second or more"),
         _ => None,
     }

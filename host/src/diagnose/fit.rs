@@ -136,8 +136,8 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
     model
 }
 
-/// Squared error with a random run gain taken out.
-fn objective(problem: &Problem, model: &Model, variance: f64, spread: f64) -> f64 {
+/// Squared error in rpm²·s with a random run gain of relative spread `spread` taken out.
+pub fn objective(problem: &Problem, model: &Model, variance: f64, spread: f64) -> f64 {
     let t = spread * spread;
     problem
         .residuals(model)

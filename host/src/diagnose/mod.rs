@@ -7,10 +7,13 @@
 pub mod answer;
 pub mod effects;
 pub mod fit;
+pub mod inertial;
 pub mod observe;
 pub mod problem;
+pub mod report;
 pub mod rotor;
 pub mod search;
+pub mod single;
 pub mod stats;
 
 use crate::record::measurement::{Format, Measurement, Run, RunKind};
@@ -52,11 +55,18 @@ impl Default for Options {
 
 /// What the answer was drawn from, for reports and saved models.
 #[derive(Debug, Clone)]
-pub struct Details {
-    /// The runs.
-    pub problem: Problem,
-    /// What the search found.
-    pub outcome: Outcome,
+pub enum Details {
+    /// Several runs of a TWUM.
+    Runs {
+        /// The runs.
+        problem: Problem,
+        /// What the search found.
+        outcome: Box<Outcome>,
+    },
+    /// One run of a TWUM.
+    Single(Box<single::SingleOutcome>),
+    /// Runs of an ordinary motor.
+    Inertial(inertial::InertialOutcome),
 }
 
 /// Diagnoses measurement folders together.
@@ -80,10 +90,23 @@ pub fn diagnose(
                 "runs of an ordinary motor (format `drive`) and of a TWUM cannot be diagnosed together: name one kind of folder".to_owned(),
             ));
         }
-        return Ok((
-            Diagnosis::impossible(vec!["runs of format `drive` are not supported yet".to_owned()], options.seed),
-            None,
+        let runs: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).collect();
+        let (runs, mut notes) = inertial::drive_runs(&runs);
+        if runs.is_empty() || runs.iter().all(|r| r.rpm.iter().all(|v| v.abs() < 1e-9)) {
+            notes.push("no run shows motion: nothing can be said about the motor".to_owned());
+            return Ok((Diagnosis::impossible(notes, options.seed), None));
+        }
+        if runs.len() == 1 {
+            notes.push("one run only: parts of it are held out instead of whole runs, replication is missing".to_owned());
+        }
+        let replicated = runs.len() > 1;
+        let outcome = inertial::search(runs, if options.quick { 150 } else { 400 }, options.seed, &options.without);
+        notes.push(format!(
+            "baseline: speed = {:.1} rpm x input (largest input = 1), lag {:.3} s; Coulomb friction is not refitted, a dead zone is it",
+            outcome.gain_rpm, outcome.lag_s
         ));
+        let diagnosis = Diagnosis::of_inertial(&outcome, replicated, notes, options.seed);
+        return Ok((diagnosis, Some(Details::Inertial(outcome))));
     }
     let mut notes = Vec::new();
     let mut runs = Vec::new();
@@ -122,6 +145,12 @@ pub fn diagnose(
         return Ok((Diagnosis::impossible(notes, options.seed), None));
     }
     let start = starting_rotor(&runs, options.coasting);
+    if runs.len() == 1 {
+        let outcome = single::search(runs.remove(0), start, if options.quick { 150 } else { 400 }, options.seed, &options.without);
+        notes.push("one run only: later turns are held out instead of whole runs; replication is missing, and nothing can be said about run-to-run spread".to_owned());
+        let diagnosis = Diagnosis::of_single(&outcome, notes, options.seed);
+        return Ok((diagnosis, Some(Details::Single(Box::new(outcome)))));
+    }
     let replicated = runs.len() >= 4;
     if !replicated {
         notes.push("fewer than four runs: no replication, nothing can be said about run-to-run spread".to_owned());
@@ -145,7 +174,7 @@ pub fn diagnose(
     };
     let outcome = search(&problem, start, &settings, progress);
     let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
-    Ok((diagnosis, Some(Details { problem, outcome })))
+    Ok((diagnosis, Some(Details::Runs { problem, outcome: Box::new(outcome) })))
 }
 
 /// A rotor to start the refit from: the shipped motor's friction, the free speed the data show.

@@ -162,7 +162,12 @@ struct Step {
 }
 
 /// Searches for what `start` gets wrong on `problem`.
-pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progress: &dyn Fn(&str, f64)) -> Outcome {
+pub fn search(
+    problem: &Problem,
+    start: Parameters,
+    settings: &Settings,
+    progress: &dyn Fn(&str, f64),
+) -> Outcome {
     let effects: Vec<Effect> = library(start.get(P::FreeSpeed), start.get(P::OnAcceleration))
         .into_iter()
         .filter(|e| !settings.without.iter().any(|w| w == e.name))
@@ -177,11 +182,8 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
             None => true,
         })
         .collect();
-    let keys: Vec<String> = problem
-        .runs
-        .iter()
-        .map(|r| format!("{:?}/{:.6}/{}/{}", r.kind, r.duty.unwrap_or(-1.0), r.direction, r.pwm_hz))
-        .collect();
+    let keys: Vec<String> =
+        problem.runs.iter().map(|r| format!("{:?}/{:.6}/{}/{}", r.kind, r.duty.unwrap_or(-1.0), r.direction, r.pwm_hz)).collect();
     let divisions = folds(&keys, if problem.runs.len() < 8 { problem.runs.len() } else { 5 }, settings.seed);
 
     progress("refitting the baseline", 0.05);
@@ -202,8 +204,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         if groups.is_empty() || round == MOST_EFFECTS {
             break;
         }
-        let (improvements, null) =
-            step.grams.screen(&step.base, &groups, settings.repetitions, settings.seed + 1000 * round as u64);
+        let (improvements, null) = step.grams.screen(&step.base, &groups, settings.repetitions, settings.seed + 1000 * round as u64);
         // The best shape of each effect.
         let mut best: Vec<(usize, usize)> = Vec::new();
         for effect in &usable {
@@ -250,17 +251,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
             .iter()
             .map(|(e, c)| {
                 let mut trial = try_candidate(
-                    problem,
-                    &model,
-                    &effects[*e],
-                    *e,
-                    &step,
-                    *c,
-                    &accepted,
-                    &base_free,
-                    &keys,
-                    &divisions,
-                    (variance, spread),
+                    problem, &model, &effects[*e], *e, &step, *c, &accepted, &base_free, &keys, &divisions, (variance, spread),
                 );
                 for (l, b) in trial.held.loss.iter_mut().zip(&before.loss) {
                     l[0] = b[0];
@@ -334,8 +325,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     if accepted.len() > 1 {
         let mut k = 0;
         while k < accepted.len() && accepted.len() > 1 {
-            let without: Vec<Accepted> =
-                accepted.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, a)| a.clone()).collect();
+            let without: Vec<Accepted> = accepted.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, a)| a.clone()).collect();
             let smaller = refit_accepted(problem, &strip(&model, &accepted[k]), &base_free, &without).0;
             let full = held_out_at(problem, &model, &base_free, &accepted, &keys, &divisions, noise);
             let less = held_out_at(problem, &smaller, &base_free, &without, &keys, &divisions, noise);
@@ -447,8 +437,7 @@ fn linearise(
             continue;
         }
         for (s, shape) in effects[e].shapes.iter().enumerate() {
-            let k: Vec<usize> =
-                shape.columns.iter().map(|c| add(c.clone(), if shape.phased { PHASED_SCALE } else { 1.0 })).collect();
+            let k: Vec<usize> = shape.columns.iter().map(|c| add(c.clone(), if shape.phased { PHASED_SCALE } else { 1.0 })).collect();
             candidates.push(Candidate { effect: e, shape: s, group: group_of(shape, k) });
         }
     }
@@ -547,8 +536,7 @@ fn try_candidate(
                 let integer = *q == P::QuantSteps;
                 let free_carry = *q != P::HeatCarry || (problem.ordered() && *v > 0.0);
                 if !integer && free_carry {
-                    let bounds =
-                        effect.reported.iter().find(|r| r.parameter == *q).map_or((0.0, f64::INFINITY), |r| r.bounds);
+                    let bounds = effect.reported.iter().find(|r| r.parameter == *q).map_or((0.0, f64::INFINITY), |r| r.bounds);
                     own.free.push(Free { parameter: *q, scale: (0.5 * v).max(1e-3), bounds });
                 }
             }
@@ -567,19 +555,53 @@ fn try_candidate(
     }
     let mut all = accepted.to_vec();
     all.push(own.clone());
+    if own.phased.is_empty() {
+        start = best_start(problem, model, start, effect, shape, base_free, &all, noise);
+    }
     let (fitted, phased_fits) = refit_accepted(problem, &start, base_free, &all);
     let held = held_out_at(problem, &fitted, base_free, &all, keys, divisions, Some(noise));
-    let (estimates, estimates_ok) =
-        estimate(problem, &fitted, base_free, &all, effect, &own, &phased_fits, keys, divisions);
+    let (estimates, estimates_ok) = estimate(problem, &fitted, base_free, &all, effect, &own, &phased_fits, keys, divisions);
     Trial { accepted: own, model: fitted, held, estimates, estimates_ok, p_null: 1.0 }
 }
 
-fn refit_accepted(
+/// The linear estimate may lie in another valley than the optimum: a few sizes are tried for two iterations each.
+#[allow(clippy::too_many_arguments)]
+fn best_start(
     problem: &Problem,
-    start: &Model,
+    model: &Model,
+    linear: Model,
+    effect: &Effect,
+    shape: &Shape,
     base_free: &[Free],
-    accepted: &[Accepted],
-) -> (Model, Vec<PhasedFit>) {
+    all: &[Accepted],
+    noise: (f64, f64),
+) -> Model {
+    let Some(Column::Scalar { parameter, scale, .. }) = shape.columns.first() else { return linear };
+    let bounds = effect.reported.iter().find(|r| r.parameter == *parameter).map_or((-1.0, 1.0), |r| r.bounds);
+    let sense = if bounds.0 < 0.0 { linear.parameters.get(*parameter).signum() } else { 1.0 };
+    let mut free = base_free.to_vec();
+    free[0].scale = model.parameters.get(P::FreeSpeed);
+    for a in all {
+        free.extend(a.free.iter().copied());
+    }
+    let mut best: Option<(f64, Model)> = None;
+    let mut starts = vec![linear.clone()];
+    for size in [0.3, 1.0] {
+        let mut s = linear.clone();
+        s.parameters.set(*parameter, (sense * size * scale).clamp(bounds.0.min(0.0), bounds.1));
+        starts.push(s);
+    }
+    for start in starts {
+        let (fitted, _) = refit(problem, start, &free, &[], 3);
+        let value = super::fit::objective(problem, &fitted, noise.0, noise.1);
+        if best.as_ref().is_none_or(|b| value < b.0) {
+            best = Some((value, fitted));
+        }
+    }
+    best.map_or(linear, |b| b.1)
+}
+
+fn refit_accepted(problem: &Problem, start: &Model, base_free: &[Free], accepted: &[Accepted]) -> (Model, Vec<PhasedFit>) {
     let mut free = base_free.to_vec();
     free[0].scale = start.parameters.get(P::FreeSpeed);
     let mut phased = Vec::new();
@@ -587,7 +609,7 @@ fn refit_accepted(
         free.extend(a.free.iter().copied());
         phased.extend(a.phased.iter().copied());
     }
-    refit(problem, start.clone(), &free, &phased, 6)
+    refit(problem, start.clone(), &free, &phased, 8)
 }
 
 /// The model with one effect absent.
@@ -817,8 +839,7 @@ fn shapley(
                 share += weight * (error[subset] - error[subset | (1 << k)]);
             }
         }
-        if let Some(f) = findings.iter_mut().find(|f| f.name == effects[a.effect].name && f.status != Status::Rejected)
-        {
+        if let Some(f) = findings.iter_mut().find(|f| f.name == effects[a.effect].name && f.status != Status::Rejected) {
             f.share = share / error[0].max(1e-12);
         }
     }
