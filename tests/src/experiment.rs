@@ -241,7 +241,9 @@ impl Sealed {
         for _ in 0..7 {
             let total = part.floor(std::slice::from_ref(hidden));
             achieved = (total * total - noise * noise).max(1e-6).sqrt() / noise;
-            if (achieved / rho - 1.0).abs() < 0.05 || (achieved < rho && hidden.size >= 0.999 * high && high == hidden.largest()) {
+            if (achieved / rho - 1.0).abs() < 0.05
+                || (achieved < rho && hidden.size >= 0.999 * high && high == hidden.largest())
+            {
                 break;
             }
             if achieved < rho {

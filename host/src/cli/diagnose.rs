@@ -52,9 +52,14 @@ pub fn run(args: Args) -> Result<ExitCode> {
     for folder in &args.folders {
         measurements.push(Measurement::load(folder).with_context(|| format!("reading {}", folder.display()))?);
     }
-    let bar = ProgressBar::new(100).with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
-    let options =
-        Options { seed: args.seed, quick: args.quick, coasting: args.flavour == FlavourArg::Thesis, ..Options::default() };
+    let bar = ProgressBar::new(100)
+        .with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
+    let options = Options {
+        seed: args.seed,
+        quick: args.quick,
+        coasting: args.flavour == FlavourArg::Thesis,
+        ..Options::default()
+    };
     let (diagnosis, details) = diagnose(&measurements, &options, &|what, share| {
         bar.set_message(what.to_owned());
         bar.set_position((share * 100.0) as u64);
@@ -64,7 +69,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     let says = |name: &str| library.iter().find(|e| e.name == name).map(|e| (e.says, e.equation));
     if let Some(path) = &args.report {
         let title: Vec<&str> = measurements.iter().map(|m| m.name.as_str()).collect();
-        let page = report::page(&title.join(", "), &diagnosis, details.as_ref(), &says).context("drawing the report")?;
+        let page =
+            report::page(&title.join(", "), &diagnosis, details.as_ref(), &says).context("drawing the report")?;
         page.write(path).with_context(|| format!("writing {}", path.display()))?;
         eprintln!("wrote {}", path.display());
     }

@@ -210,14 +210,34 @@ impl Diagnosis {
     }
 
     /// The answer for an ordinary motor.
-    pub fn of_inertial(outcome: &super::inertial::InertialOutcome, replicated: bool, notes: Vec<String>, seed: u64) -> Self {
-        Self::of_parts(&outcome.findings, &outcome.unknown, &outcome.held_out, outcome.noise_floor, replicated, notes, seed)
+    pub fn of_inertial(
+        outcome: &super::inertial::InertialOutcome,
+        replicated: bool,
+        notes: Vec<String>,
+        seed: u64,
+    ) -> Self {
+        Self::of_parts(
+            &outcome.findings,
+            &outcome.unknown,
+            &outcome.held_out,
+            outcome.noise_floor,
+            replicated,
+            notes,
+            seed,
+        )
     }
 
     /// The answer for one run.
     pub fn of_single(outcome: &super::single::SingleOutcome, notes: Vec<String>, seed: u64) -> Self {
-        let mut d =
-            Self::of_parts(&outcome.findings, &outcome.unknown, &outcome.held_out, outcome.noise_floor, false, notes, seed);
+        let mut d = Self::of_parts(
+            &outcome.findings,
+            &outcome.unknown,
+            &outcome.held_out,
+            outcome.noise_floor,
+            false,
+            notes,
+            seed,
+        );
         d.baseline.scores.rmse_position_deg = Some(outcome.position_deg[0]);
         d.extended.rmse_position_deg = Some(outcome.position_deg[1]);
         d.not_judged = outcome.not_judged.iter().cloned().collect();

@@ -85,9 +85,8 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             shapes: [0.5, 1.0, 2.0, 5.0, 15.0]
                 .iter()
                 .flat_map(|tau| {
-                    [0.0, 0.5, 0.9].map(|carry| {
-                        shaped(P::HeatLoss, 0.2, 0.02, vec![(P::HeatTau, *tau), (P::HeatCarry, carry)])
-                    })
+                    [0.0, 0.5, 0.9]
+                        .map(|carry| shaped(P::HeatLoss, 0.2, 0.02, vec![(P::HeatTau, *tau), (P::HeatCarry, carry)]))
                 })
                 .collect(),
             reported: vec![
@@ -181,11 +180,7 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             says: "the motor is faster in one direction than in the other",
             equation: "speed·(1 ± g), braking·(1 ± b)",
             shapes: vec![
-                Shape {
-                    columns: vec![scalar(P::AsymSpeed, 0.1, 0.005, &[])],
-                    pinned: Vec::new(),
-                    phased: false,
-                },
+                Shape { columns: vec![scalar(P::AsymSpeed, 0.1, 0.005, &[])], pinned: Vec::new(), phased: false },
                 Shape {
                     columns: vec![scalar(P::AsymSpeed, 0.1, 0.005, &[]), scalar(P::AsymBrake, 0.3, 0.03, &[])],
                     pinned: Vec::new(),
@@ -216,7 +211,11 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             name: "encoder-eccentricity",
             says: "the encoder wheel is not centred: its angle errs once a turn, the same at every duty",
             equation: "θ_measured = θ + e·sin(θ − φ)",
-            shapes: vec![Shape { columns: (0..2).map(Column::Eccentricity).collect(), pinned: Vec::new(), phased: true }],
+            shapes: vec![Shape {
+                columns: (0..2).map(Column::Eccentricity).collect(),
+                pinned: Vec::new(),
+                phased: true,
+            }],
             reported: Vec::new(),
             conflicts: &["preload-runout"],
             next_experiment: "re-seat the rotor by 90° against the encoder wheel and repeat one run: runout turns with the rotor, eccentricity stays with the wheel",
@@ -246,7 +245,12 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             shapes: [0.15, 0.4, 1.0, 2.0]
                 .iter()
                 .map(|vs| {
-                    shaped(P::StribeckDeceleration, 0.5 * on_acceleration, 0.05 * on_acceleration, vec![(P::StribeckSpeed, *vs)])
+                    shaped(
+                        P::StribeckDeceleration,
+                        0.5 * on_acceleration,
+                        0.05 * on_acceleration,
+                        vec![(P::StribeckSpeed, *vs)],
+                    )
                 })
                 .collect(),
             reported: vec![
@@ -269,7 +273,10 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             name: "run-in-wear",
             says: "the motor changes for good from run to run, with the distance it has turned",
             equation: "speed·(1 + w·log(1 + revs/r₀))",
-            shapes: [0.3, 3.0, 30.0].iter().map(|r0| shaped(P::Wear, 0.05, 0.002, vec![(P::WearRevolutions, *r0)])).collect(),
+            shapes: [0.3, 3.0, 30.0]
+                .iter()
+                .map(|r0| shaped(P::Wear, 0.05, 0.002, vec![(P::WearRevolutions, *r0)]))
+                .collect(),
             reported: vec![
                 size("change_per_log_revolution", "1", P::Wear, -0.3, 0.3),
                 form("run_in_revolutions", "1", P::WearRevolutions, 0.03, 1000.0),
@@ -317,8 +324,7 @@ pub fn not_judged(effect: &str, problem: &Problem, coasting_baseline: bool) -> O
     let pwm = duties.iter().any(|d| *d > 0.0 && *d < 1.0 - 1e-9) || any_track;
     let edges = runs.iter().any(|r| r.pitch > 0.0);
     let levels = runs.iter().any(|r| r.pitch > 0.0 && r.level.iter().any(|l| *l != 0));
-    let directions =
-        any_track || (runs.iter().any(|r| r.direction > 0.0) && runs.iter().any(|r| r.direction < 0.0));
+    let directions = any_track || (runs.iter().any(|r| r.direction > 0.0) && runs.iter().any(|r| r.direction < 0.0));
     let turns = runs.iter().map(|r| r.revolutions()).fold(0.0, f64::max);
     let missing = |what: &str| Some(what.to_owned());
     match effect {
@@ -336,7 +342,9 @@ pub fn not_judged(effect: &str, problem: &Problem, coasting_baseline: bool) -> O
         "unequal-edges" if !levels => missing("needs encoder edges"),
         "clock-error" if !pwm || !edges => missing("needs edges of runs below full duty: the PWM line is the clock"),
         "run-in-wear" if !problem.ordered() || runs.len() < 4 => missing("needs the order of at least four runs"),
-        "backlash" | "reversal-miscount" | "presliding" if !any_track => missing("needs closed-loop runs with reversals"),
+        "backlash" | "reversal-miscount" | "presliding" if !any_track => {
+            missing("needs closed-loop runs with reversals")
+        }
         "resonance-heating" if runs.iter().all(|r| r.record_end < 0.8) => missing("needs runs of a second or more"),
         _ => None,
     }

@@ -88,16 +88,23 @@ struct Candidate {
 }
 
 const EFFECTS: [(&str, &str); 4] = [
-    ("dead-zone", "sweep the input slowly from zero up and back down around the threshold: friction with a peak at rest shows a loop, a dead zone does not"),
+    (
+        "dead-zone",
+        "sweep the input slowly from zero up and back down around the threshold: friction with a peak at rest shows a loop, a dead zone does not",
+    ),
     ("direction-asymmetry", "mount the motor the other way round and repeat the sweep: a load's bias changes sides"),
     ("high-duty-saturation", "log the supply voltage at full input: a sag is in the supply, a saturation is not"),
-    ("stribeck-friction", "sweep the input slowly from zero up and back down around the threshold: friction with a peak at rest shows a loop, a dead zone does not"),
+    (
+        "stribeck-friction",
+        "sweep the input slowly from zero up and back down around the threshold: friction with a peak at rest shows a loop, a dead zone does not",
+    ),
 ];
 
 /// Searches the library over ordinary motors' runs.
 pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[String]) -> InertialOutcome {
     // Baseline: gain and lag. A lag below two sampling intervals cannot be seen.
-    let spacing = runs.iter().map(|r| (r.time[r.time.len() - 1] - r.time[0]) / (r.time.len() - 1) as f64).fold(0.0, f64::max);
+    let spacing =
+        runs.iter().map(|r| (r.time[r.time.len() - 1] - r.time[0]) / (r.time.len() - 1) as f64).fold(0.0, f64::max);
     let lag_s = [0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0]
         .into_iter()
         .filter(|lag| *lag == 0.0 || *lag > 2.0 * spacing)
@@ -112,8 +119,12 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
         }
     }
     let gain_rpm = if uu > 0.0 { uy / uu } else { 0.0 };
-    let of = |f: &dyn Fn(f64) -> f64| -> Vec<Vec<f64>> { inputs.iter().map(|u| u.iter().map(|v| f(*v)).collect()).collect() };
-    let grid = |n: usize, low: f64, high: f64| -> Vec<f64> { (0..n).map(|k| low + (high - low) * k as f64 / (n - 1) as f64).collect() };
+    let of = |f: &dyn Fn(f64) -> f64| -> Vec<Vec<f64>> {
+        inputs.iter().map(|u| u.iter().map(|v| f(*v)).collect()).collect()
+    };
+    let grid = |n: usize, low: f64, high: f64| -> Vec<f64> {
+        (0..n).map(|k| low + (high - low) * k as f64 / (n - 1) as f64).collect()
+    };
     let mut candidates: Vec<Candidate> = Vec::new();
     for u0 in grid(24, 0.01, 0.47) {
         candidates.push(Candidate {
@@ -194,7 +205,13 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
             .map(|p| {
                 let run = &runs[piece_run[p]];
                 let (from, to) = piece_range[p];
-                let mut d = RunDesign { columns: columns.len(), x: Vec::new(), y: Vec::new(), weight: Vec::new(), seconds: 0.0 };
+                let mut d = RunDesign {
+                    columns: columns.len(),
+                    x: Vec::new(),
+                    y: Vec::new(),
+                    weight: Vec::new(),
+                    seconds: 0.0,
+                };
                 for k in from..to {
                     for c in columns {
                         d.x.push(c[piece_run[p]][k]);
@@ -279,7 +296,12 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
                     .collect();
                 let low = near.iter().copied().fold(*v, f64::min);
                 let high = near.iter().copied().fold(*v, f64::max);
-                parameters.push(Estimate { name: (*name).to_owned(), value: *v, interval: [low, high], unit: (*unit).to_owned() });
+                parameters.push(Estimate {
+                    name: (*name).to_owned(),
+                    value: *v,
+                    interval: [low, high],
+                    unit: (*unit).to_owned(),
+                });
             }
             (
                 Finding {
@@ -335,7 +357,15 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
     let first = columns.len();
     columns.extend(hats.iter());
     let scales: Vec<f64> = (0..columns.len())
-        .map(|k| if k == 0 { 1.0 } else if k < first { 3.0 * gain_rpm.abs().max(1.0) } else { 3.0 })
+        .map(|k| {
+            if k == 0 {
+                1.0
+            } else if k < first {
+                3.0 * gain_rpm.abs().max(1.0)
+            } else {
+                3.0
+            }
+        })
         .collect();
     let grams = Grams::new(&design(&columns), 0, &scales, None, folds);
     let base_held = grams.hold_out(&[0], &Group::Linear(extended[1..].to_vec()));
@@ -352,9 +382,7 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
     let predicted = (0..n_runs)
         .map(|i| {
             (0..runs[i].rpm.len())
-                .map(|k| {
-                    base_column[i][k] + extended.iter().map(|c| columns[*c][i][k] * beta[*c]).sum::<f64>()
-                })
+                .map(|k| base_column[i][k] + extended.iter().map(|c| columns[*c][i][k] * beta[*c]).sum::<f64>())
                 .collect()
         })
         .collect();
@@ -363,7 +391,16 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
             findings.push(f);
         }
     }
-    InertialOutcome { findings, unknown, held_out: base_held, noise_floor: floor(&runs), gain_rpm, lag_s, runs, predicted }
+    InertialOutcome {
+        findings,
+        unknown,
+        held_out: base_held,
+        noise_floor: floor(&runs),
+        gain_rpm,
+        lag_s,
+        runs,
+        predicted,
+    }
 }
 
 /// Spread of second differences: what is left when neighbours agree.

@@ -97,7 +97,9 @@ pub fn diagnose(
             return Ok((Diagnosis::impossible(notes, options.seed), None));
         }
         if runs.len() == 1 {
-            notes.push("one run only: parts of it are held out instead of whole runs, replication is missing".to_owned());
+            notes.push(
+                "one run only: parts of it are held out instead of whole runs, replication is missing".to_owned(),
+            );
         }
         let replicated = runs.len() > 1;
         let outcome = inertial::search(runs, if options.quick { 150 } else { 400 }, options.seed, &options.without);
@@ -146,7 +148,13 @@ pub fn diagnose(
     }
     let start = starting_rotor(&runs, options.coasting);
     if runs.len() == 1 {
-        let outcome = single::search(runs.remove(0), start, if options.quick { 150 } else { 400 }, options.seed, &options.without);
+        let outcome = single::search(
+            runs.remove(0),
+            start,
+            if options.quick { 150 } else { 400 },
+            options.seed,
+            &options.without,
+        );
         notes.push("one run only: later turns are held out instead of whole runs; replication is missing, and nothing can be said about run-to-run spread".to_owned());
         let diagnosis = Diagnosis::of_single(&outcome, notes, options.seed);
         return Ok((diagnosis, Some(Details::Single(Box::new(outcome)))));

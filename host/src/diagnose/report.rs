@@ -14,7 +14,12 @@ use std::f64::consts::TAU;
 ///
 /// # Errors
 /// When a figure cannot be drawn.
-pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>, says: super::effects::Says) -> Result<Page, FigureError> {
+pub fn page(
+    title: &str,
+    d: &Diagnosis,
+    details: Option<&Details>,
+    says: super::effects::Says,
+) -> Result<Page, FigureError> {
     let mut page = Page::new(format!("Diagnosis: {title}"));
     let headline = text(d, says).lines().next().unwrap_or_default().to_owned();
     page = page.callout(&headline).heading("The answer").code(&text(d, says));
@@ -50,7 +55,8 @@ pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>, says: super::
             ]
         })
         .collect();
-    page = page.table(&["effect", "status", "held-out gain (%)", "95 % interval", "p of chance", "as good", "note"], &rows);
+    page = page
+        .table(&["effect", "status", "held-out gain (%)", "95 % interval", "p of chance", "as good", "note"], &rows);
     page = page.heading("Error budget");
     let mut rows: Vec<Vec<String>> = d
         .effects
@@ -85,11 +91,23 @@ pub fn residual_figure(problem: &Problem, outcome: &Outcome) -> Figure {
             }
             let t = 0.5 * (run.times[w.from] + run.times[w.to]);
             let theta = (0.5 * (run.angles[w.from] + run.angles[w.to])).rem_euclid(TAU) * 360.0 / TAU;
-            samples.push([t, theta, run.duty.unwrap_or(f64::NAN), run.direction, order, before[i].rpm[k], after[i].rpm[k]]);
+            samples.push([
+                t,
+                theta,
+                run.duty.unwrap_or(f64::NAN),
+                run.direction,
+                order,
+                before[i].rpm[k],
+                after[i].rpm[k],
+            ]);
         }
     }
     let bins = |axis: usize, count: usize, column: usize| -> Vec<(f64, f64)> {
-        let (low, high) = samples.iter().map(|s| s[axis]).filter(|v| v.is_finite()).fold((f64::MAX, f64::MIN), |a, v| (a.0.min(v), a.1.max(v)));
+        let (low, high) = samples
+            .iter()
+            .map(|s| s[axis])
+            .filter(|v| v.is_finite())
+            .fold((f64::MAX, f64::MIN), |a, v| (a.0.min(v), a.1.max(v)));
         let width = ((high - low) / count as f64).max(1e-9);
         let mut sums = vec![(0.0, 0.0); count + 1];
         for s in &samples {
@@ -106,9 +124,7 @@ pub fn residual_figure(problem: &Problem, outcome: &Outcome) -> Figure {
             .collect()
     };
     let panel = |label: &str, axis: usize, count: usize| {
-        Panel::new(label, "residual (rpm)")
-            .dashed("before", &bins(axis, count, 5))
-            .line("after", &bins(axis, count, 6))
+        Panel::new(label, "residual (rpm)").dashed("before", &bins(axis, count, 5)).line("after", &bins(axis, count, 6))
     };
     let first: Vec<(f64, f64)> = samples.iter().step_by((samples.len() / 1500).max(1)).map(|s| (s[0], s[5])).collect();
     let last: Vec<(f64, f64)> = samples.iter().step_by((samples.len() / 1500).max(1)).map(|s| (s[0], s[6])).collect();
@@ -146,7 +162,11 @@ pub fn single_figure(o: &SingleOutcome) -> Figure {
                 .marks("scored from here", &[o.scored_from_s]),
         )
         .panel(Panel::new("time (s)", "residual (rpm)").dashed("before", &rest(2)).line("after", &rest(3)))
-        .panel(Panel::new("angle since the start (degrees)", "residual (rpm)").points("before", &by_angle(2)).points("after", &by_angle(3)))
+        .panel(
+            Panel::new("angle since the start (degrees)", "residual (rpm)")
+                .points("before", &by_angle(2))
+                .points("after", &by_angle(3)),
+        )
 }
 
 /// Speed over input of ordinary motors.
@@ -155,7 +175,9 @@ pub fn inertial_figure(o: &InertialOutcome) -> Figure {
     let mut rest = Panel::new("input (largest = 1)", "residual (rpm)");
     for (run, predicted) in o.runs.iter().zip(&o.predicted) {
         let at = |v: &[f64]| run.input.iter().copied().zip(v.iter().copied()).collect::<Vec<_>>();
-        speed = speed.points(format!("{} measured", run.id), &at(&run.rpm)).line(format!("{} extended", run.id), &at(predicted));
+        speed = speed
+            .points(format!("{} measured", run.id), &at(&run.rpm))
+            .line(format!("{} extended", run.id), &at(predicted));
         let before: Vec<f64> = run.rpm.iter().zip(&run.input).map(|(y, u)| y - u * o.gain_rpm).collect();
         let after: Vec<f64> = run.rpm.iter().zip(predicted).map(|(y, p)| y - p).collect();
         rest = rest.dashed(format!("{} before", run.id), &at(&before)).line(format!("{} after", run.id), &at(&after));

@@ -162,12 +162,7 @@ struct Step {
 }
 
 /// Searches for what `start` gets wrong on `problem`.
-pub fn search(
-    problem: &Problem,
-    start: Parameters,
-    settings: &Settings,
-    progress: &dyn Fn(&str, f64),
-) -> Outcome {
+pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progress: &dyn Fn(&str, f64)) -> Outcome {
     let effects: Vec<Effect> = library(start.get(P::FreeSpeed), start.get(P::OnAcceleration))
         .into_iter()
         .filter(|e| !settings.without.iter().any(|w| w == e.name))
@@ -182,8 +177,11 @@ pub fn search(
             None => true,
         })
         .collect();
-    let keys: Vec<String> =
-        problem.runs.iter().map(|r| format!("{:?}/{:.6}/{}/{}", r.kind, r.duty.unwrap_or(-1.0), r.direction, r.pwm_hz)).collect();
+    let keys: Vec<String> = problem
+        .runs
+        .iter()
+        .map(|r| format!("{:?}/{:.6}/{}/{}", r.kind, r.duty.unwrap_or(-1.0), r.direction, r.pwm_hz))
+        .collect();
     let divisions = folds(&keys, if problem.runs.len() < 8 { problem.runs.len() } else { 5 }, settings.seed);
 
     progress("refitting the baseline", 0.05);
@@ -204,7 +202,8 @@ pub fn search(
         if groups.is_empty() || round == MOST_EFFECTS {
             break;
         }
-        let (improvements, null) = step.grams.screen(&step.base, &groups, settings.repetitions, settings.seed + 1000 * round as u64);
+        let (improvements, null) =
+            step.grams.screen(&step.base, &groups, settings.repetitions, settings.seed + 1000 * round as u64);
         // The best shape of each effect.
         let mut best: Vec<(usize, usize)> = Vec::new();
         for effect in &usable {
@@ -251,7 +250,17 @@ pub fn search(
             .iter()
             .map(|(e, c)| {
                 let mut trial = try_candidate(
-                    problem, &model, &effects[*e], *e, &step, *c, &accepted, &base_free, &keys, &divisions, (variance, spread),
+                    problem,
+                    &model,
+                    &effects[*e],
+                    *e,
+                    &step,
+                    *c,
+                    &accepted,
+                    &base_free,
+                    &keys,
+                    &divisions,
+                    (variance, spread),
                 );
                 for (l, b) in trial.held.loss.iter_mut().zip(&before.loss) {
                     l[0] = b[0];
@@ -325,7 +334,8 @@ pub fn search(
     if accepted.len() > 1 {
         let mut k = 0;
         while k < accepted.len() && accepted.len() > 1 {
-            let without: Vec<Accepted> = accepted.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, a)| a.clone()).collect();
+            let without: Vec<Accepted> =
+                accepted.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, a)| a.clone()).collect();
             let smaller = refit_accepted(problem, &strip(&model, &accepted[k]), &base_free, &without).0;
             let full = held_out_at(problem, &model, &base_free, &accepted, &keys, &divisions, noise);
             let less = held_out_at(problem, &smaller, &base_free, &without, &keys, &divisions, noise);
@@ -437,7 +447,8 @@ fn linearise(
             continue;
         }
         for (s, shape) in effects[e].shapes.iter().enumerate() {
-            let k: Vec<usize> = shape.columns.iter().map(|c| add(c.clone(), if shape.phased { PHASED_SCALE } else { 1.0 })).collect();
+            let k: Vec<usize> =
+                shape.columns.iter().map(|c| add(c.clone(), if shape.phased { PHASED_SCALE } else { 1.0 })).collect();
             candidates.push(Candidate { effect: e, shape: s, group: group_of(shape, k) });
         }
     }
@@ -536,7 +547,8 @@ fn try_candidate(
                 let integer = *q == P::QuantSteps;
                 let free_carry = *q != P::HeatCarry || (problem.ordered() && *v > 0.0);
                 if !integer && free_carry {
-                    let bounds = effect.reported.iter().find(|r| r.parameter == *q).map_or((0.0, f64::INFINITY), |r| r.bounds);
+                    let bounds =
+                        effect.reported.iter().find(|r| r.parameter == *q).map_or((0.0, f64::INFINITY), |r| r.bounds);
                     own.free.push(Free { parameter: *q, scale: (0.5 * v).max(1e-3), bounds });
                 }
             }
@@ -560,7 +572,8 @@ fn try_candidate(
     }
     let (fitted, phased_fits) = refit_accepted(problem, &start, base_free, &all);
     let held = held_out_at(problem, &fitted, base_free, &all, keys, divisions, Some(noise));
-    let (estimates, estimates_ok) = estimate(problem, &fitted, base_free, &all, effect, &own, &phased_fits, keys, divisions);
+    let (estimates, estimates_ok) =
+        estimate(problem, &fitted, base_free, &all, effect, &own, &phased_fits, keys, divisions);
     Trial { accepted: own, model: fitted, held, estimates, estimates_ok, p_null: 1.0 }
 }
 
@@ -601,7 +614,12 @@ fn best_start(
     best.map_or(linear, |b| b.1)
 }
 
-fn refit_accepted(problem: &Problem, start: &Model, base_free: &[Free], accepted: &[Accepted]) -> (Model, Vec<PhasedFit>) {
+fn refit_accepted(
+    problem: &Problem,
+    start: &Model,
+    base_free: &[Free],
+    accepted: &[Accepted],
+) -> (Model, Vec<PhasedFit>) {
     let mut free = base_free.to_vec();
     free[0].scale = start.parameters.get(P::FreeSpeed);
     let mut phased = Vec::new();
@@ -839,7 +857,8 @@ fn shapley(
                 share += weight * (error[subset] - error[subset | (1 << k)]);
             }
         }
-        if let Some(f) = findings.iter_mut().find(|f| f.name == effects[a.effect].name && f.status != Status::Rejected) {
+        if let Some(f) = findings.iter_mut().find(|f| f.name == effects[a.effect].name && f.status != Status::Rejected)
+        {
             f.share = share / error[0].max(1e-12);
         }
     }

@@ -89,7 +89,10 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
     );
     add("encoder-eccentricity", vec![(Column::Eccentricity(0), 0.1), (Column::Eccentricity(1), 0.1)]);
     let heat = vec![(P::HeatTau, THERMAL_S)];
-    add("resonance-heating", vec![(Column::Scalar { parameter: P::HeatLoss, scale: 1.0, step: 0.02, shape: heat }, 0.1)]);
+    add(
+        "resonance-heating",
+        vec![(Column::Scalar { parameter: P::HeatLoss, scale: 1.0, step: 0.02, shape: heat }, 0.1)],
+    );
     if !smooth {
         add(
             "unequal-edges",
@@ -172,7 +175,8 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
             let set = [base.clone(), open[k].1.clone()].concat();
             let beta = grams.fit(&train, &set);
             let cov = grams.covariance(&set) * memory;
-            let own: Vec<(f64, f64)> = (base.len()..set.len()).map(|i| (beta[i], cov[(i, i)].max(0.0).sqrt())).collect();
+            let own: Vec<(f64, f64)> =
+                (base.len()..set.len()).map(|i| (beta[i], cov[(i, i)].max(0.0).sqrt())).collect();
             Finding {
                 name: open[k].0.to_owned(),
                 status,
@@ -197,7 +201,12 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
         if f.p_null > LARGEST_P || f.gain < LEAST_GAIN || f.gain_interval[0] <= 0.0 || !admissible {
             if let Some(r) = rejected.iter_mut().find(|r| r.name == f.name) {
                 *r = Finding {
-                    note: format!("p = {:.3}, gain {:.1} %{}", f.p_null, 100.0 * f.gain, if admissible { "" } else { ", of the wrong sign" }),
+                    note: format!(
+                        "p = {:.3}, gain {:.1} %{}",
+                        f.p_null,
+                        100.0 * f.gain,
+                        if admissible { "" } else { ", of the wrong sign" }
+                    ),
                     status: Status::Rejected,
                     ..f
                 };
@@ -235,7 +244,9 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
         let beta = plain.fit(&(1..pieces).collect::<Vec<_>>(), &base);
         let width = columns.len();
         let rest: Vec<f64> = (0..parts[0].y.len())
-            .map(|k| parts[0].y[k] - base.iter().zip(beta.iter()).map(|(c, b)| parts[0].x[k * width + c] * b).sum::<f64>())
+            .map(|k| {
+                parts[0].y[k] - base.iter().zip(beta.iter()).map(|(c, b)| parts[0].x[k * width + c] * b).sum::<f64>()
+            })
             .collect();
         let before: f64 = rest.iter().map(|r| r * r).sum();
         let mut best = (f64::INFINITY, 0, 0.0);
@@ -382,7 +393,12 @@ fn remove(part: &mut RunDesign, base: &[usize], beta: &nalgebra::DVector<f64>) {
 }
 
 fn estimate(name: &str, value: f64, error: f64, unit: &str) -> Estimate {
-    Estimate { name: name.to_owned(), value, interval: [value - 1.96 * error, value + 1.96 * error], unit: unit.to_owned() }
+    Estimate {
+        name: name.to_owned(),
+        value,
+        interval: [value - 1.96 * error, value + 1.96 * error],
+        unit: unit.to_owned(),
+    }
 }
 
 fn parameters(name: &str, own: &[(f64, f64)]) -> Vec<Estimate> {
@@ -450,7 +466,8 @@ fn elsewhere(
     let rest: Vec<f64> = parts[1..]
         .iter()
         .flat_map(|d| {
-            (0..d.y.len()).map(move |k| d.y[k] - base.iter().zip(beta.iter()).map(|(c, b)| d.x[k * width + c] * b).sum::<f64>())
+            (0..d.y.len())
+                .map(move |k| d.y[k] - base.iter().zip(beta.iter()).map(|(c, b)| d.x[k * width + c] * b).sum::<f64>())
         })
         .collect();
     let mut scores = Vec::new();

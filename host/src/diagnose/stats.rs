@@ -169,7 +169,13 @@ pub fn folds(keys: &[String], count: usize, seed: u64) -> Vec<Fold> {
 impl Grams {
     /// Normal equations of `designs`. `gain_column` is the relative speed of the run; `scales[c]` is how large a
     /// coefficient of column `c` may plausibly be; `replicates[i]` says which runs repeat each other.
-    pub fn new(designs: &[RunDesign], gain_column: usize, scales: &[f64], replicates: Option<&[String]>, folds: Vec<Fold>) -> Self {
+    pub fn new(
+        designs: &[RunDesign],
+        gain_column: usize,
+        scales: &[f64],
+        replicates: Option<&[String]>,
+        folds: Vec<Fold>,
+    ) -> Self {
         Self::with_blocks(designs, gain_column, scales, replicates, folds, BLOCK)
     }
 
@@ -249,7 +255,11 @@ impl Grams {
         }
         let gain_spread = if replicates.is_none() {
             0.0
-        } else if degrees >= 3.0 { (sum / degrees).sqrt().clamp(1e-3, 0.1) } else { 0.01 };
+        } else if degrees >= 3.0 {
+            (sum / degrees).sqrt().clamp(1e-3, 0.1)
+        } else {
+            0.01
+        };
         for run in &mut runs {
             let gg = run.g[gain_column * columns + gain_column];
             let t = gain_spread * gain_spread;
@@ -401,7 +411,12 @@ impl Grams {
                 for pair in &plan.pairs {
                     let power = self.pair_power(pair, &beta_base, &fold.fold.train, b);
                     if power > 0.0 {
-                        total += fold.fold.test.iter().map(|r| self.pair_gain(&pair[*r], &beta_base, power, &b[*r]).0).sum::<f64>();
+                        total += fold
+                            .fold
+                            .test
+                            .iter()
+                            .map(|r| self.pair_gain(&pair[*r], &beta_base, power, &b[*r]).0)
+                            .sum::<f64>();
                     }
                 }
             }
@@ -439,9 +454,7 @@ impl Grams {
     }
 
     fn observed_b(&self) -> Vec<Vec<f64>> {
-        (0..self.runs.len())
-            .map(|r| (0..self.columns).map(|i| self.b(r, &self.runs[r].b, i)).collect())
-            .collect()
+        (0..self.runs.len()).map(|r| (0..self.columns).map(|i| self.b(r, &self.runs[r].b, i)).collect()).collect()
     }
 
     /// Improvements of all groups on the measured data, and the null's largest improvement in each repetition.
@@ -471,7 +484,8 @@ impl Grams {
             .enumerate()
             .map(|(r, run)| {
                 let s = coin() * run.gain;
-                let mut b: Vec<f64> = (0..self.columns).map(|i| s * run.g[i * self.columns + self.gain_column]).collect();
+                let mut b: Vec<f64> =
+                    (0..self.columns).map(|i| s * run.g[i * self.columns + self.gain_column]).collect();
                 for block in &run.blocks {
                     let s = coin();
                     for (target, v) in b.iter_mut().zip(block) {
@@ -489,8 +503,7 @@ impl Grams {
         let plan = self.plan(base, group);
         let b = self.observed_b();
         let n = self.runs.len();
-        let mut out =
-            HeldOut { loss: vec![[0.0; 2]; n], plain: vec![[0.0; 2]; n], seconds: vec![0.0; n] };
+        let mut out = HeldOut { loss: vec![[0.0; 2]; n], plain: vec![[0.0; 2]; n], seconds: vec![0.0; n] };
         for (fold, base_fold) in plan.folds.iter().zip(&base_plan.folds) {
             let rhs = |runs: &[usize], set: &[usize]| {
                 DVector::from_fn(set.len(), |i, _| runs.iter().map(|r| b[*r][set[i]]).sum())
@@ -509,7 +522,8 @@ impl Grams {
                     for (i, ci) in set.iter().enumerate() {
                         v -= 2.0 * beta[i] * if plain { run.b[*ci] } else { b[r][*ci] };
                         for (j, cj) in set.iter().enumerate() {
-                            v += beta[i] * beta[j] * if plain { self.plain_g(r, *ci, *cj) } else { self.g(r, *ci, *cj) };
+                            v +=
+                                beta[i] * beta[j] * if plain { self.plain_g(r, *ci, *cj) } else { self.g(r, *ci, *cj) };
                         }
                     }
                     v
