@@ -233,7 +233,13 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             name: "clock-error",
             says: "the recorder's clock runs fast or slow: speeds and PWM periods are scaled alike",
             equation: "t_recorded = (1 + ε)·t",
-            shapes: vec![one(P::ClockError, 1e-3, 2e-5)],
+            shapes: std::iter::once(one(P::ClockError, 1e-3, 2e-5))
+                .chain((1..=15).flat_map(|k| {
+                    let e = 8e-4 * f64::from(k);
+                    // Secants: a drift of a PWM period is far from linear.
+                    [one(P::ClockError, e, e), one(P::ClockError, -e, -e)]
+                }))
+                .collect(),
             reported: vec![size("relative_clock_error", "1", P::ClockError, -0.1, 0.1)],
             conflicts: &["dropped-samples"],
             next_experiment: "record a reference signal of known frequency on the encoder input",

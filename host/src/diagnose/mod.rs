@@ -7,6 +7,7 @@
 pub mod answer;
 pub mod effects;
 pub mod fit;
+pub mod gaps;
 pub mod inertial;
 pub mod observe;
 pub mod problem;
@@ -182,7 +183,7 @@ pub fn diagnose(
     };
     let outcome = search(&problem, start, &settings, progress);
     let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
-    Ok((diagnosis, Some(Details::Runs { problem, outcome: Box::new(outcome) })))
+    Ok((diagnosis, Some(Details::Runs { problem: outcome.repaired.clone().unwrap_or(problem), outcome: Box::new(outcome) })))
 }
 
 /// A rotor to start the refit from: the shipped motor's friction, the free speed the data show.

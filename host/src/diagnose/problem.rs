@@ -146,23 +146,39 @@ impl Problem {
             .collect()
     }
 
-    fn run_residual(&self, i: usize, p: &Parameters, terms: &RunTerms, warmth: f64) -> RunResidual {
+    /// Simulated rotor angle of every run at its measured times, in rad.
+    pub fn angles(&self, model: &Model) -> Vec<Vec<f64>> {
+        let warmth = self.warmth(&model.parameters);
+        (0..self.runs.len())
+            .into_par_iter()
+            .map(|i| {
+                let mut angle = Vec::new();
+                simulate(&self.input(i, warmth[i]), &model.parameters, &model.terms[i], &mut angle, &mut Vec::new());
+                angle
+            })
+            .collect()
+    }
+
+    fn input(&self, i: usize, warmth: f64) -> RunInput<'_> {
         let run = &self.runs[i];
-        let input = RunInput {
+        RunInput {
             schedule: &run.schedule,
             drive_end: run.drive_end,
             times: &run.times,
             angles: &run.angles,
             warmth,
             revolutions: self.revolutions_before[i],
-        };
+        }
+    }
+
+    fn run_residual(&self, i: usize, p: &Parameters, terms: &RunTerms, warmth: f64) -> RunResidual {
+        let run = &self.runs[i];
+        let input = self.input(i, warmth);
         let mut angle = Vec::with_capacity(run.times.len());
         let mut out = RunResidual::default();
         simulate(&input, p, terms, &mut angle, &mut out.speed);
         let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
         let sensor = terms.eccentricity != [0.0; 2];
-        let clock = 1.0 + p.get(P::ClockError);
-        let _ = clock;
         out.rpm.reserve(run.windows.len());
         out.predicted.reserve(run.windows.len());
         let track = run.kind == RunKind::Track;

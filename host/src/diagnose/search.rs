@@ -118,6 +118,8 @@ pub struct Outcome {
     pub not_judged: Vec<(String, String)>,
     /// Noise floor in rpm.
     pub noise_floor: f64,
+    /// The runs with lost time put back, if any was lost.
+    pub repaired: Option<Problem>,
     /// Effects that were found, put in, and taken out again.
     pub removed: Vec<String>,
 }
@@ -189,9 +191,25 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     let (baseline, _) = refit(problem, problem.model(start.clone()), &base_free, &[], 12);
     let base_free = baseline_free(&baseline.parameters, settings.coasting);
 
+    let mut findings: Vec<Finding> = Vec::new();
+    let (original, unrepaired) = (problem, baseline.clone());
+    progress("looking for lost samples", 0.08);
+    let repaired = if settings.without.iter().any(|w| w == "dropped-samples") {
+        None
+    } else {
+        super::gaps::find(problem, &baseline, settings.seed).filter(|g| !clock_explains(problem, &baseline, g))
+    };
+    let (problem, baseline) = match &repaired {
+        Some(gaps) => {
+            findings.push(gaps.finding.clone());
+            let (refitted, _) = refit(&gaps.problem, gaps.problem.model(start.clone()), &base_free, &[], 12);
+            (&gaps.problem, refitted)
+        }
+        None => (problem, baseline),
+    };
+
     let mut model = baseline.clone();
     let mut accepted: Vec<Accepted> = Vec::new();
-    let mut findings: Vec<Finding> = Vec::new();
     let mut first_evidence: Vec<Finding> = Vec::new();
     let mut noise: Option<(f64, f64)> = None;
     for round in 0..=MOST_EFFECTS {
@@ -372,7 +390,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         unknown.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     }
 
-    let base_held = held_out_at(problem, &baseline, &base_free, &[], &keys, &divisions, noise);
+    let base_held = held_out_at(original, &unrepaired, &base_free, &[], &keys, &divisions, noise);
     let full_held = held_out_at(problem, &model, &base_free, &accepted, &keys, &divisions, noise);
     let mut held_out = base_held.clone();
     for (h, f) in held_out.loss.iter_mut().zip(&full_held.loss) {
@@ -393,6 +411,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     ];
     Outcome {
         noise_floor: noise_floor(problem, &model, noise.map_or(0.01, |n| n.1)),
+        repaired: repaired.as_ref().map(|g| g.problem.clone()),
         r2,
         position_deg: [position_error_deg(problem, &baseline), position_error_deg(problem, &model)],
         baseline,
@@ -403,6 +422,17 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         not_judged: refused,
         removed,
     }
+}
+
+/// Whether a wrong clock does as well as lost samples: both move the PWM line.
+fn clock_explains(problem: &Problem, baseline: &Model, gaps: &super::gaps::Gaps) -> bool {
+    let square = |p: &Problem, m: &Model| super::fit::objective(p, m, 1.0, 0.0);
+    let with_gaps = square(&gaps.problem, baseline);
+    (-30..=30).filter(|k| *k != 0).any(|k| {
+        let mut m = baseline.clone();
+        m.parameters.set(P::ClockError, 4e-4 * f64::from(k));
+        square(problem, &m) < 1.05 * with_gaps
+    })
 }
 
 struct Trial {
@@ -538,9 +568,10 @@ fn try_candidate(
                         .iter()
                         .find(|r| r.parameter == *parameter)
                         .map_or((f64::NEG_INFINITY, f64::INFINITY), |r| r.bounds);
-                    let value = beta[step.base.len() + k] * scale;
+                    let value = beta[step.base.len() + k].clamp(-3.0, 3.0) * scale;
                     start.parameters.set(*parameter, value.clamp(bounds.0.min(0.0), bounds.1));
-                    own.free.push(Free { parameter: *parameter, scale: *scale, bounds: (bounds.0.min(0.0), bounds.1) });
+                    let scale = if *parameter == P::ClockError { 1e-3 } else { *scale };
+                    own.free.push(Free { parameter: *parameter, scale, bounds: (bounds.0.min(0.0), bounds.1) });
                 }
             }
             for (q, v) in &shape.pinned {
@@ -601,6 +632,7 @@ fn best_start(
     let mut starts = vec![linear.clone()];
     for size in [0.3, 1.0] {
         let mut s = linear.clone();
+        let sense = if *parameter == P::ClockError { 1.0 } else { sense };
         s.parameters.set(*parameter, (sense * size * scale).clamp(bounds.0.min(0.0), bounds.1));
         starts.push(s);
     }
