@@ -10,6 +10,7 @@ pub mod fit;
 pub mod gaps;
 pub mod inertial;
 pub mod observe;
+pub mod plan;
 pub mod problem;
 pub mod report;
 pub mod rotor;
