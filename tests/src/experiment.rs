@@ -291,25 +291,24 @@ impl Sealed {
                 let moved = self.residual(&data, &m, l);
                 columns.push(moved.iter().zip(&base).map(|(a, b)| (a - b) / h).collect::<Vec<f64>>());
             }
-            let step = least_squares(&columns, &base);
-            let mut factor = 1.0;
             let before = best;
-            for _ in 0..4 {
+            // Levenberg's damping, from nearly none to a short step downhill.
+            for damping in [1e-4, 1e-2, 0.3, 5.0] {
+                let step = least_squares(&columns, &base, damping);
                 let mut m = motor.clone();
-                m.crest_speed *= 1.0 - (factor * step[0]).clamp(-0.3, 0.3);
-                m.contact *= 1.0 - (factor * step[1]).clamp(-0.5, 0.5);
-                m.off_friction *= 1.0 - (factor * step[2]).clamp(-0.5, 0.5);
-                m.viscous = (m.viscous * (1.0 - (factor * step[3]).clamp(-3.0, 0.95))).max(1e-3);
-                let l = latency - (factor * step[4]).clamp(-1e-3, 1e-3);
+                m.crest_speed *= 1.0 - step[0].clamp(-0.3, 0.3);
+                m.contact *= 1.0 - step[1].clamp(-0.5, 0.5);
+                m.off_friction *= 1.0 - step[2].clamp(-0.5, 0.5);
+                m.viscous = (m.viscous * (1.0 - step[3].clamp(-3.0, 0.95))).max(1e-3);
+                let l = latency - step[4].clamp(-1e-3, 1e-3);
                 let trial = self.residual(&data, &m, l);
                 if square(&trial) < best {
                     best = square(&trial);
                     (motor, latency, base) = (m, l, trial);
                     break;
                 }
-                factor *= 0.4;
             }
-            if before - best < 2e-3 * before {
+            if before - best < 1e-3 * before {
                 break;
             }
         }
@@ -379,7 +378,7 @@ fn nudged(motor: &Motor, latency: f64, k: usize) -> (Motor, f64, f64) {
 }
 
 /// Coefficients of `columns` that best explain `y` (normal equations, Gaussian elimination).
-fn least_squares(columns: &[Vec<f64>], y: &[f64]) -> Vec<f64> {
+fn least_squares(columns: &[Vec<f64>], y: &[f64], damping: f64) -> Vec<f64> {
     let n = columns.len();
     let mut a = vec![vec![0.0; n + 1]; n];
     for i in 0..n {
@@ -387,7 +386,7 @@ fn least_squares(columns: &[Vec<f64>], y: &[f64]) -> Vec<f64> {
             a[i][j] = columns[i].iter().zip(&columns[j]).map(|(p, q)| p * q).sum();
         }
         a[i][n] = columns[i].iter().zip(y).map(|(p, q)| p * q).sum();
-        a[i][i] *= 1.0 + 1e-6;
+        a[i][i] *= 1.0 + damping;
         a[i][i] += 1e-12;
     }
     for i in 0..n {

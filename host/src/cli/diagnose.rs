@@ -1,10 +1,12 @@
 //! `twum diagnose`.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::diagnose::{Options, answer, diagnose, effects, report};
+use twum_host::diagnose::{Details, Options, answer, diagnose, effects, motor, report};
+use twum_host::model::motor::Motor;
+use twum_host::model::parameters::Flavour;
 use twum_host::record::measurement::Measurement;
 
 /// Arguments of `twum diagnose`.
@@ -21,6 +23,12 @@ pub struct Args {
     /// Measurement folders, diagnosed together
     #[arg(required = true)]
     folders: Vec<PathBuf>,
+    /// Motor file, or the name of a shipped motor [default: the one the folder names]
+    #[arg(long)]
+    motor: Option<String>,
+    /// Write the refitted motor as a motor file, the effects in its head
+    #[arg(long, value_name = "EXTENDED.toml")]
+    save_model: Option<PathBuf>,
     /// Simulation to start from
     #[arg(long, value_enum, default_value = "physical")]
     flavour: FlavourArg,
@@ -52,12 +60,20 @@ pub fn run(args: Args) -> Result<ExitCode> {
     for folder in &args.folders {
         measurements.push(Measurement::load(folder).with_context(|| format!("reading {}", folder.display()))?);
     }
+    let flavour = if args.flavour == FlavourArg::Thesis { Flavour::Thesis } else { Flavour::Physical };
+    let name = args.motor.clone().unwrap_or_else(|| match measurements[0].motor_file() {
+        Some(path) => path.to_string_lossy().into_owned(),
+        None => measurements[0].motor.clone(),
+    });
+    // An ordinary motor has no motor file.
+    let motor_file = if name == "inertial" { None } else { Some(Motor::load(&name)?) };
     let bar = ProgressBar::new(100)
         .with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
     let options = Options {
         seed: args.seed,
         quick: args.quick,
         coasting: args.flavour == FlavourArg::Thesis,
+        motor: motor_file.as_ref().map(|m| m.parameters(flavour)),
         ..Options::default()
     };
     let (diagnosis, details) = diagnose(&measurements, &options, &|what, share| {
@@ -72,6 +88,14 @@ pub fn run(args: Args) -> Result<ExitCode> {
         let page =
             report::page(&title.join(", "), &diagnosis, details.as_ref(), &says).context("drawing the report")?;
         page.write(path).with_context(|| format!("writing {}", path.display()))?;
+        eprintln!("wrote {}", path.display());
+    }
+    if let Some(path) = &args.save_model {
+        let (Some(motor_file), Some(Details::Runs { outcome, .. })) = (&motor_file, &details) else {
+            bail!("--save-model needs several runs of a TWUM: what one run shows is not enough to change a motor's file");
+        };
+        let text = motor::file(motor_file, flavour, &outcome.extended.parameters, &diagnosis)?;
+        std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
         eprintln!("wrote {}", path.display());
     }
     if args.json {

@@ -153,7 +153,12 @@ impl Diagnosis {
         let lack =
             left >= super::search::LEAST_GAIN || (explained > 0.0 && left >= super::search::LACK_OF_FIT * explained);
         if lack && explained > 0.0 {
-            for f in findings.iter_mut().filter(|f| f.status != Status::Rejected) {
+            // What was found in the controller or in the record itself does not hang on the plant's fit.
+            let plant = |f: &&mut Finding| {
+                f.status != Status::Rejected
+                    && !matches!(f.name.as_str(), "loop-delay" | "controller-mismatch" | "dropped-samples")
+            };
+            for f in findings.iter_mut().filter(plant) {
                 f.status = Status::Rejected;
                 f.note = format!(
                     "explains part of it, but a term without physics ({}) still finds {:.0} % beside it: not the cause",

@@ -5,10 +5,12 @@
 //! look for what no effect explains. `docs/diagnosis.md` walks through it; `docs/detection.md` says how often it errs.
 
 pub mod answer;
+pub mod controller;
 pub mod effects;
 pub mod fit;
 pub mod gaps;
 pub mod inertial;
+pub mod motor;
 pub mod observe;
 pub mod plan;
 pub mod problem;
@@ -45,13 +47,15 @@ pub struct Options {
     pub quick: bool,
     /// Whether the baseline lets the rotor coast while the drive is off (flavour `thesis`).
     pub coasting: bool,
+    /// The motor to start from; the 30 mm PCBMotor's friction without one.
+    pub motor: Option<crate::model::parameters::Parameters>,
     /// Effects taken out of the library.
     pub without: Vec<String>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { seed: 1, quick: false, coasting: false, without: Vec::new() }
+        Self { seed: 1, quick: false, coasting: false, motor: None, without: Vec::new() }
     }
 }
 
@@ -148,7 +152,7 @@ pub fn diagnose(
         notes.push(format!("only {edges} edge intervals in all: too little to tell an effect from sampling noise; make runs of several seconds"));
         return Ok((Diagnosis::impossible(notes, options.seed), None));
     }
-    let start = starting_rotor(&runs, options.coasting);
+    let start = starting_rotor(&runs, options);
     if runs.len() == 1 {
         let outcome = single::search(
             runs.remove(0),
@@ -182,13 +186,22 @@ pub fn diagnose(
         coasting: options.coasting,
         ..Settings::default()
     };
-    let outcome = search(&problem, start, &settings, progress);
+    let mut outcome = search(&problem, start, &settings, progress);
+    let tracks: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).filter(|r| r.kind == RunKind::Track).collect();
+    if !tracks.is_empty() {
+        let parity = controller::parity(&tracks, settings.repetitions, options.seed, &options.without);
+        if let Some(rms) = parity.rms_steps {
+            notes.push(format!("control signal recomputed from target and position: {rms:.3} duty steps RMS from the logged one"));
+        }
+        notes.extend(parity.notes);
+        outcome.findings.splice(0..0, parity.findings);
+    }
     let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
     Ok((diagnosis, Some(Details::Runs { problem: outcome.repaired.clone().unwrap_or(problem), outcome: Box::new(outcome) })))
 }
 
-/// A rotor to start the refit from: the shipped motor's friction, the free speed the data show.
-pub fn starting_rotor(runs: &[Observed], coasting: bool) -> Parameters {
+/// A rotor to start the refit from: the motor's friction, the free speed the data show.
+pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
     let mut speeds: Vec<f64> = runs
         .iter()
         .filter(|r| r.kind == RunKind::Speed)
@@ -197,9 +210,9 @@ pub fn starting_rotor(runs: &[Observed], coasting: bool) -> Parameters {
         .collect();
     speeds.sort_by(f64::total_cmp);
     let free = if speeds.is_empty() { 3.6466 } else { speeds[(speeds.len() - 1) * 3 / 4] };
-    // u·Fext·R0/Jr and Ctheta/Jr of the 30 mm PCBMotor (thesis, A.4).
-    let (contact, viscous) = (1888.0, 0.261);
-    Parameters::new(free, contact, if coasting { 0.0 } else { contact }, viscous, 0.02)
+    // u·Fext·R0/Jr and Ctheta/Jr of the 30 mm PCBMotor (thesis, A.4) where no motor is given.
+    let [drive, brake, viscous] = options.motor.as_ref().map_or([1888.0, 1888.0, 0.261], motor::rates);
+    Parameters::new(free, drive, if options.coasting { 0.0 } else { brake }, viscous, 0.02)
 }
 
 /// Metadata that contradict the record.
