@@ -48,7 +48,13 @@ fn measurement(data: &DataSet) -> Measurement {
             data: RunData::Levels { start_us: 0.0, period_us: 1000.0, levels: r.levels.clone() },
         })
         .collect();
-    Measurement { name: "sealed".into(), motor: "pcbmotor-30mm".into(), edges_per_rev: 400, runs, folder: "sealed".into() }
+    Measurement {
+        name: "sealed".into(),
+        motor: "pcbmotor-30mm".into(),
+        edges_per_rev: 400,
+        runs,
+        folder: "sealed".into(),
+    }
 }
 
 fn answer(data: &DataSet, seed: u64, without: &[&str]) -> Diagnosis {
@@ -84,7 +90,14 @@ impl Count {
         let z = 1.96;
         let centre = (p + z * z / (2.0 * n)) / (1.0 + z * z / n);
         let half = z / (1.0 + z * z / n) * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt();
-        format!("{}/{} = {:.0} % ({:.0}–{:.0})", self.hits, self.of, 100.0 * p, 100.0 * (centre - half), 100.0 * (centre + half))
+        format!(
+            "{}/{} = {:.0} % ({:.0}–{:.0})",
+            self.hits,
+            self.of,
+            100.0 * p,
+            100.0 * (centre - half),
+            100.0 * (centre + half)
+        )
     }
 }
 
@@ -151,9 +164,13 @@ fn main() {
                         conflict_wrong.add(!named.is_empty() && !suspected.contains(&name));
                     }
                 }
-                if let (Some(truth), Some(e)) = (hidden.comparable(), d.effects.iter().find(|e| e.name == name && e.status != "rejected"))
+                if let (Some(truth), Some(e)) =
+                    (hidden.comparable(), d.effects.iter().find(|e| e.name == name && e.status != "rejected"))
                     && !matches!(name, "preload-runout" | "encoder-eccentricity" | "start-delay")
-                    && let Some(p) = e.parameters.values().find(|p| p.value.signum() == truth.signum() && (p.value / truth).ln().abs() < 1.0)
+                    && let Some(p) = e
+                        .parameters
+                        .values()
+                        .find(|p| p.value.signum() == truth.signum() && (p.value / truth).ln().abs() < 1.0)
                 {
                     coverage.entry(name).or_default().add(p.ci95[0] <= truth && truth <= p.ci95[1]);
                 }
@@ -240,7 +257,11 @@ fn main() {
     w("| test | measured | accept |\n|---|---|---|".into());
     w(format!("| nothing hidden (seeds 1–{}), any name | {null_line} | ≤ 2 % |", times(200)));
     for (k, rho) in strengths.iter().enumerate() {
-        w(format!("| found at ρ = {rho} (alone, or in a set of its declared conflicts) | {} | {} |", total[k].text(), ["≥ 80 %", "≥ 95 %", "monotone"][k]));
+        w(format!(
+            "| found at ρ = {rho} (alone, or in a set of its declared conflicts) | {} | {} |",
+            total[k].text(),
+            ["≥ 80 %", "≥ 95 %", "monotone"][k]
+        ));
     }
     w(format!("| a wrong name among the named, ρ ≥ 0.5 | {} | ≤ 5 % |", wrong.text()));
     w(format!("| declared conflicts, ρ ≥ 1: truth in the set | {} | ≥ 95 % |", in_set.text()));
@@ -267,10 +288,17 @@ fn main() {
     shares.sort_by(f64::total_cmp);
     let median = shares.get(shares.len() / 2).copied().unwrap_or(f64::NAN);
     w(format!("| gain over what an oracle removes, median of {} | {:.0} % | ≥ 80 % |", shares.len(), 100.0 * median));
-    w("\n## Power by effect\n\n| effect | ρ = 0.5 | ρ = 1 | ρ = 2 | strength not reachable |\n|---|---|---|---|---|".into());
+    w("\n## Power by effect\n\n| effect | ρ = 0.5 | ρ = 1 | ρ = 2 | strength not reachable |\n|---|---|---|---|---|"
+        .into());
     for name in OPEN_LOOP {
         let cell = |k: usize| power.get(&(name, k)).map_or("—".to_owned(), |c| format!("{}/{}", c.hits, c.of));
-        w(format!("| {name} | {} | {} | {} | {} |", cell(0), cell(1), cell(2), unreached.get(name).copied().unwrap_or(0)));
+        w(format!(
+            "| {name} | {} | {} | {} | {} |",
+            cell(0),
+            cell(1),
+            cell(2),
+            unreached.get(name).copied().unwrap_or(0)
+        ));
     }
     w("\nA strength counts as not reachable when no admissible size of the effect leaves that much after the motor's own parameters are refitted: \
        the refit has swallowed it, and no analysis of such data could see it.\n\n## What was answered (ρ ≥ 1)\n\n| hidden | answer | times |\n|---|---|---|"
@@ -296,7 +324,8 @@ fn main() {
 
 /// Today, from the system clock (days since 1970 turned into a civil date).
 fn date() -> String {
-    let days = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs() / 86400) as i64;
+    let days =
+        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs() / 86400) as i64;
     let z = days + 719_468;
     let era = z.div_euclid(146_097);
     let doe = z.rem_euclid(146_097);

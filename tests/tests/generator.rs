@@ -27,8 +27,13 @@ fn bulk_equations_follow_the_carrier() {
     carrier.run(&mut state, 15e-3, false);
     let stopped = state.y[6];
     let (bulk_driven, bulk_stopped) = (reduced_angle(&motor, 10e-3, 0.0), reduced_angle(&motor, 10e-3, 5e-3));
-    println!("driven {driven:.5} against {bulk_driven:.5} rad, after braking {stopped:.5} against {bulk_stopped:.5} rad");
-    assert!((bulk_driven / driven - 1.0).abs() < 0.03, "10 ms of drive: {driven} rad at carrier resolution, {bulk_driven} in bulk");
+    println!(
+        "driven {driven:.5} against {bulk_driven:.5} rad, after braking {stopped:.5} against {bulk_stopped:.5} rad"
+    );
+    assert!(
+        (bulk_driven / driven - 1.0).abs() < 0.03,
+        "10 ms of drive: {driven} rad at carrier resolution, {bulk_driven} in bulk"
+    );
     assert!((bulk_stopped / stopped - 1.0).abs() < 0.05, "after braking: {stopped} rad, {bulk_stopped} in bulk");
 }
 

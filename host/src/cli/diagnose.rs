@@ -92,7 +92,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     if let Some(path) = &args.save_model {
         let (Some(motor_file), Some(Details::Runs { outcome, .. })) = (&motor_file, &details) else {
-            bail!("--save-model needs several runs of a TWUM: what one run shows is not enough to change a motor's file");
+            bail!(
+                "--save-model needs several runs of a TWUM: what one run shows is not enough to change a motor's file"
+            );
         };
         let text = motor::file(motor_file, flavour, &outcome.extended.parameters, &diagnosis)?;
         std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;

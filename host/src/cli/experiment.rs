@@ -46,7 +46,9 @@ struct Wanted {
 }
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  twum experiment plan bench3\n  twum experiment plan --duties 0.25,0.5,1 --trials 2 --port /dev/ttyUSB0")]
+#[command(
+    after_help = "Examples:\n  twum experiment plan bench3\n  twum experiment plan --duties 0.25,0.5,1 --trials 2 --port /dev/ttyUSB0"
+)]
 struct PlanArgs {
     #[command(flatten)]
     wanted: Wanted,
@@ -107,7 +109,11 @@ fn plan(args: &PlanArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let total: f64 = runs.iter().map(|r| r.seconds + r.pause_s).sum();
-    eprintln!("{} runs, {:.0} s of drive and pauses; paste these, or let `twum experiment run` make them:", runs.len(), total);
+    eprintln!(
+        "{} runs, {:.0} s of drive and pauses; paste these, or let `twum experiment run` make them:",
+        runs.len(),
+        total
+    );
     println!("mkdir -p next");
     let mut why = "";
     for (number, run) in runs.iter().enumerate() {
@@ -157,7 +163,11 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
         let outcome = args.connect.perform(&experiment, |_| {}).with_context(|| format!("run {id}"))?;
         if outcome.interrupted {
             bar.abandon();
-            eprintln!("interrupted after {number} of {} runs; {} keeps what was recorded", runs.len(), recordings.display());
+            eprintln!(
+                "interrupted after {number} of {} runs; {} keeps what was recorded",
+                runs.len(),
+                recordings.display()
+            );
             return Ok(ExitCode::from(130));
         }
         let recording = Recording::load(&path)?;

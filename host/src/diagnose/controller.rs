@@ -59,7 +59,10 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
             continue;
         }
         if spec.feed_forward != ConfigSpec::THESIS.feed_forward {
-            out.notes.push(format!("run {}: the target's rate is not logged, its feed-forward is taken from differences", run.id));
+            out.notes.push(format!(
+                "run {}: the target's rate is not logged, its feed-forward is taken from differences",
+                run.id
+            ));
         }
         if let Some(r) = recompute(rows, spec) {
             all.push(r);
@@ -133,7 +136,9 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     }
     let (improvements, null) = grams.screen(&[0], &groups, repetitions, seed);
     let best_of = |name: &str| {
-        (0..keep.len()).filter(|k| names[keep[*k]].0 == name).max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))
+        (0..keep.len())
+            .filter(|k| names[keep[*k]].0 == name)
+            .max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))
     };
     let best: Vec<usize> = ["loop-delay", "controller-mismatch"].into_iter().filter_map(best_of).collect();
     let held: Vec<_> = best.iter().map(|k| grams.hold_out(&[0], &groups[*k])).collect();
@@ -187,7 +192,8 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
             } else {
                 Vec::new()
             },
-            next_experiment: "track a step: a delay moves the control signal's edge, another gain changes its height".to_owned(),
+            next_experiment: "track a step: a delay moves the control signal's edge, another gain changes its height"
+                .to_owned(),
             share: 0.0,
             note: format!("scored on the control signal: recomputed and logged differ by {rms:.2} duty steps RMS"),
         });
@@ -210,7 +216,8 @@ fn recompute(rows: &[ControlRow], spec: ConfigSpec) -> Option<Recomputed> {
             (0..rows.len())
                 .map(|k| {
                     let row = &rows[k.saturating_sub(delay)];
-                    let rate = if k > 0 { (row.target - rows[k.saturating_sub(delay + 1)].target) / period } else { 0.0 };
+                    let rate =
+                        if k > 0 { (row.target - rows[k.saturating_sub(delay + 1)].target) / period } else { 0.0 };
                     let inputs =
                         Inputs { target: row.target as i32, target_rate: rate as i32, position: row.position as i32 };
                     f64::from(step(&config, &mut state, inputs).u) / 65_536.0

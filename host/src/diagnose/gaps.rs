@@ -28,7 +28,8 @@ pub struct Gaps {
 
 /// Looks for lost words in runs sampled on a grid; `None` if there are none.
 pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
-    let usable = |r: &Observed| r.kind == RunKind::Speed && r.pitch > 0.0 && r.time_spread > 1e-4 && r.windows.len() > 20;
+    let usable =
+        |r: &Observed| r.kind == RunKind::Speed && r.pitch > 0.0 && r.time_spread > 1e-4 && r.windows.len() > 20;
     if !problem.runs.iter().any(usable) {
         return None;
     }
@@ -85,7 +86,8 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
     };
     let pairs: Vec<[f64; 2]> =
         square(problem, &now).into_iter().zip(square(&corrected, &after)).map(|(a, b)| [a, b]).collect();
-    let held = HeldOut { loss: pairs.clone(), plain: pairs, seconds: problem.runs.iter().map(|r| r.compared_s()).collect() };
+    let held =
+        HeldOut { loss: pairs.clone(), plain: pairs, seconds: problem.runs.iter().map(|r| r.compared_s()).collect() };
     let gain = held.gain();
     let p_null = (windows as f64 * (-0.5 * best_improvement).exp()).clamp(1e-6, 1.0);
     let named = gain >= LEAST_GAIN && p_null <= LARGEST_P;

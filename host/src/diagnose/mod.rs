@@ -20,7 +20,7 @@ pub mod search;
 pub mod single;
 pub mod stats;
 
-use crate::record::measurement::{Format, Measurement, Run, RunKind};
+use crate::record::measurement::{Format, Measurement, Run, RunData, RunKind};
 use answer::Diagnosis;
 use observe::{Observed, observe};
 use problem::Problem;
@@ -118,15 +118,20 @@ pub fn diagnose(
     }
     let mut notes = Vec::new();
     let mut runs = Vec::new();
-    for m in measurements {
+    for (part, m) in measurements.iter().enumerate() {
         for run in &m.runs {
             notes.extend(contradictions(run));
             match observe(run, m.edges_per_rev) {
-                Ok(o) => runs.push(o),
+                Ok(mut o) => {
+                    // Folders are taken in the order they are named.
+                    o.order = o.order.map(|k| k.saturating_add(1_000_000 * part as u32));
+                    runs.push(o);
+                }
                 Err(refusal) => notes.push(format!("{refusal}; left out")),
             }
         }
     }
+    notes.extend(if measurements.len() == 1 { doubled_order(&runs) } else { None });
     if options.quick {
         let before = runs.len();
         thin(&mut runs);
@@ -191,13 +196,18 @@ pub fn diagnose(
     if !tracks.is_empty() {
         let parity = controller::parity(&tracks, settings.repetitions, options.seed, &options.without);
         if let Some(rms) = parity.rms_steps {
-            notes.push(format!("control signal recomputed from target and position: {rms:.3} duty steps RMS from the logged one"));
+            notes.push(format!(
+                "control signal recomputed from target and position: {rms:.3} duty steps RMS from the logged one"
+            ));
         }
         notes.extend(parity.notes);
         outcome.findings.splice(0..0, parity.findings);
     }
     let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
-    Ok((diagnosis, Some(Details::Runs { problem: outcome.repaired.clone().unwrap_or(problem), outcome: Box::new(outcome) })))
+    Ok((
+        diagnosis,
+        Some(Details::Runs { problem: outcome.repaired.clone().unwrap_or(problem), outcome: Box::new(outcome) }),
+    ))
 }
 
 /// A rotor to start the refit from: the motor's friction, the free speed the data show.
@@ -218,12 +228,38 @@ pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
 /// Metadata that contradict the record.
 fn contradictions(run: &Run) -> Vec<String> {
     let mut out = Vec::new();
-    if let Some(duty) = run.duty
-        && !(0.0..=1.0).contains(&duty)
+    let id = &run.id;
+    let last_edge_s = match &run.data {
+        RunData::Levels { start_us, period_us, levels } => (1..levels.len())
+            .rev()
+            .find(|i| levels[*i] != levels[*i - 1])
+            .map(|i| (start_us + i as f64 * period_us) * 1e-6),
+        RunData::Edges { edges, .. } => edges.last().map(|e| e.time_us * 1e-6),
+        _ => None,
+    };
+    if let (Some(edge), Some(end)) = (last_edge_s, run.drive_on_s)
+        && edge > end + 0.2
     {
-        out.push(format!("run {}: duty {duty} is not within 0..1", run.id));
+        out.push(format!(
+            "run {id}: edges until {edge:.2} s, but the drive is said to end at {end:.2} s (drive_on_s); what follows it by more than 0.2 s is left out"
+        ));
+    }
+    if run.duty == Some(0.0) && last_edge_s.is_some() {
+        out.push(format!(
+            "run {id}: duty 0, and yet the encoder shows edges: the duty is wrong, or something else turned the motor"
+        ));
     }
     out
+}
+
+/// Two runs that claim the same place in the order.
+fn doubled_order(runs: &[Observed]) -> Option<String> {
+    let mut orders: Vec<u32> = runs.iter().filter_map(|r| r.order).collect();
+    let count = orders.len();
+    orders.sort_unstable();
+    orders.dedup();
+    (orders.len() < count)
+        .then(|| "two runs have the same `order`: effects of warmth and wear may be misjudged".to_owned())
 }
 
 /// Keeps two repetitions of each kind of run and the first 2.5 s of each.

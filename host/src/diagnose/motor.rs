@@ -38,7 +38,8 @@ pub fn refitted(motor: &Motor, flavour: Flavour, rotor: &Rotor) -> Motor {
             entry.uncertainty = None;
         }
     };
-    let friction = rotor.get(P::OnAcceleration) * before.rotor_inertia_kg_m2 / (before.preload_n * before.contact_radius_m);
+    let friction =
+        rotor.get(P::OnAcceleration) * before.rotor_inertia_kg_m2 / (before.preload_n * before.contact_radius_m);
     put("u", friction);
     let off = rotor.get(P::OffDeceleration) * before.rotor_inertia_kg_m2 / (before.preload_n * before.contact_radius_m);
     if off > 0.0 {
@@ -47,7 +48,8 @@ pub fn refitted(motor: &Motor, flavour: Flavour, rotor: &Rotor) -> Motor {
     put("Ctheta", rotor.get(P::Viscous) * before.rotor_inertia_kg_m2);
     let wanted = rotor.get(P::FreeSpeed);
     // The free speed rises with the force factor: a secant in its logarithm.
-    let mut p = Parameters { friction, rotational_damping_nms: rotor.get(P::Viscous) * before.rotor_inertia_kg_m2, ..before };
+    let mut p =
+        Parameters { friction, rotational_damping_nms: rotor.get(P::Viscous) * before.rotor_inertia_kg_m2, ..before };
     for _ in 0..12 {
         let speed = free_speed(p.clone(), flavour);
         if !(speed.is_finite() && speed > 0.0) || (speed / wanted - 1.0).abs() < 1e-4 {
@@ -65,10 +67,14 @@ pub fn refitted(motor: &Motor, flavour: Flavour, rotor: &Rotor) -> Motor {
 /// # Errors
 /// When the motor cannot be written as TOML.
 pub fn file(motor: &Motor, flavour: Flavour, rotor: &Rotor, diagnosis: &Diagnosis) -> Result<String, toml::ser::Error> {
-    let mut text = String::from("# Written by twum diagnose: the motor's own parameters, refitted together with these effects:\n");
+    let mut text =
+        String::from("# Written by twum diagnose: the motor's own parameters, refitted together with these effects:\n");
     for e in diagnosis.effects.iter().filter(|e| e.status != "rejected") {
-        let list: Vec<String> =
-            e.parameters.iter().map(|(n, p)| format!("{n} = {} {} [{}, {}]", p.value, p.unit, p.ci95[0], p.ci95[1])).collect();
+        let list: Vec<String> = e
+            .parameters
+            .iter()
+            .map(|(n, p)| format!("{n} = {} {} [{}, {}]", p.value, p.unit, p.ci95[0], p.ci95[1]))
+            .collect();
         let _ = writeln!(text, "#   {} ({}): {}", e.name, e.status, list.join("; "));
     }
     text.push_str(&refitted(motor, flavour, rotor).to_toml()?);

@@ -96,10 +96,18 @@ pub fn next_runs(measurements: &[Measurement], diagnosis: &Diagnosis) -> Vec<Pla
     if !diagnosis.replicated {
         let duty = duties.last().copied().unwrap_or(1.0);
         for _ in 0..3 {
-            plan.push(run(duty, Direction::Cw, pwm, seconds, 0.0, "repetition: without it nothing is known of run-to-run spread"));
+            plan.push(run(
+                duty,
+                Direction::Cw,
+                pwm,
+                seconds,
+                0.0,
+                "repetition: without it nothing is known of run-to-run spread",
+            ));
         }
     }
-    let open: Vec<&str> = diagnosis.effects.iter().filter(|e| e.status == "ambiguous").map(|e| e.name.as_str()).collect();
+    let open: Vec<&str> =
+        diagnosis.effects.iter().filter(|e| e.status == "ambiguous").map(|e| e.name.as_str()).collect();
     let any = |names: &[&str]| open.iter().any(|o| names.contains(o));
     if any(&["dead-zone", "start-delay", "stribeck-friction", "high-duty-saturation"]) {
         for duty in [0.3, 0.6] {
@@ -117,11 +125,19 @@ pub fn next_runs(measurements: &[Measurement], diagnosis: &Diagnosis) -> Vec<Pla
     }
     if any(&["frequency-settling"]) {
         for pause in [1.0, 1.0, 30.0] {
-            plan.push(run(1.0, Direction::Cw, pwm, 0.3, pause, "settling repeats at every start, warmth depends on the pause"));
+            plan.push(run(
+                1.0,
+                Direction::Cw,
+                pwm,
+                0.3,
+                pause,
+                "settling repeats at every start, warmth depends on the pause",
+            ));
         }
     }
     if any(&["preload-runout", "encoder-eccentricity"]) {
-        let why = "RE-SEAT THE ROTOR BY 90° AGAINST THE ENCODER WHEEL FIRST: runout turns with the rotor, eccentricity stays";
+        let why =
+            "RE-SEAT THE ROTOR BY 90° AGAINST THE ENCODER WHEEL FIRST: runout turns with the rotor, eccentricity stays";
         plan.push(run(1.0, Direction::Cw, pwm, seconds, 0.0, why));
         plan.push(run(0.5, Direction::Cw, pwm, seconds, 0.0, why));
     }

@@ -410,7 +410,8 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         mean_speed_r2(problem, &model, &base_free, &accepted, &keys, &divisions),
     ];
     Outcome {
-        noise_floor: noise_floor(problem, &model, noise.map_or(0.01, |n| n.1)),
+        // What is left bounds the floor from above.
+        noise_floor: noise_floor(problem, &model, noise.map_or(0.01, |n| n.1)).min(held_out.rmse(1)),
         repaired: repaired.as_ref().map(|g| g.problem.clone()),
         r2,
         position_deg: [position_error_deg(problem, &baseline), position_error_deg(problem, &model)],

@@ -1,0 +1,169 @@
+//! The diagnosis against data in which something, or nothing, is hidden: the thinned suite (the full one is the
+//! `detection` example), real data, and bad input.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::path::PathBuf;
+use twum_host::diagnose::answer::{Diagnosis, Verdict};
+use twum_host::diagnose::{Options, diagnose};
+use twum_host::record::measurement::Measurement;
+use twum_tests::experiment::{Design, Sealed};
+use twum_tests::hidden::Hidden;
+
+fn small() -> Design {
+    Design { trials: 2, seconds: 1.5, ..Design::small() }
+}
+
+/// Writes the folder and reads it back, as a user would.
+fn through_a_folder(hidden: &[Hidden], seed: u64, without: &[&str]) -> Diagnosis {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    Sealed::new(small(), seed).make(hidden).write(folder.path(), "sealed").expect("the folder can be written");
+    let measurement = Measurement::load(folder.path()).expect("the folder can be read");
+    let options = Options { seed, without: without.iter().map(|s| (*s).to_owned()).collect(), ..Options::default() };
+    diagnose(&[measurement], &options, &|_, _| {}).expect("it can be diagnosed").0
+}
+
+fn hide(name: &'static str, rho: f64, seed: u64) -> Hidden {
+    let mut hidden = Hidden::draw(name, &mut ChaCha8Rng::seed_from_u64(seed));
+    Sealed::new(small(), seed).scale_to(&mut hidden, rho);
+    hidden
+}
+
+/// A name out of nothing is the worst error; the full suite measures its rate.
+#[test]
+fn nothing_hidden_names_nothing() {
+    for seed in 1..=4 {
+        let d = through_a_folder(&[], seed, &[]);
+        assert_eq!(d.verdict, Verdict::None, "seed {seed}: {:?}", d.suspected());
+    }
+}
+
+/// Fails if an effect is no longer found, or comes with a wrong name beside it.
+#[test]
+fn hidden_effects_are_found_without_being_told() {
+    for name in [
+        "direction-asymmetry",
+        "preload-runout",
+        "unequal-edges",
+        "clock-error",
+        "frequency-settling",
+        "duty-quantisation",
+    ] {
+        let d = through_a_folder(&[hide(name, 1.5, 11)], 11, &[]);
+        let suspected = d.suspected();
+        assert!(suspected.contains(&name), "{name}: {:?} {suspected:?}", d.verdict);
+        assert!(d.named().iter().all(|n| *n == name), "{name}: {suspected:?}");
+    }
+}
+
+/// Fails if the interval or the parameter's meaning drifts: the hidden slot width is known.
+#[test]
+fn parameters_come_with_intervals_that_mean_something() {
+    let hidden = hide("unequal-edges", 1.0, 12);
+    let truth = hidden.comparable().expect("slot widths are comparable");
+    let d = through_a_folder(&[hidden], 12, &[]);
+    let effect = d.effects.iter().find(|e| e.name == "unequal-edges").expect("it was judged");
+    let p = &effect.parameters["high_slot_excess"];
+    assert!(
+        (p.value - truth).abs() < 0.15 * truth.abs() && p.ci95[0] < p.value && p.value < p.ci95[1],
+        "{truth} {p:?}"
+    );
+}
+
+/// Fails if something without a cause gets a name, or is overlooked.
+#[test]
+fn what_no_effect_explains_is_unknown() {
+    let d = through_a_folder(&[hide("outside-cogging", 1.5, 13)], 13, &[]);
+    assert_eq!(d.verdict, Verdict::Unknown, "{:?}", d.suspected());
+    let d = through_a_folder(&[hide("outside-notch", 1.5, 14)], 14, &[]);
+    assert_eq!(d.verdict, Verdict::Unknown, "{:?}", d.suspected());
+}
+
+/// Fails if lost words are no longer put back.
+#[test]
+fn lost_words_are_found() {
+    let hidden = Hidden { size: 0.4, ..Hidden::draw("dropped-samples", &mut ChaCha8Rng::seed_from_u64(15)) };
+    let d = through_a_folder(&[hidden], 15, &[]);
+    assert_eq!(d.named(), ["dropped-samples"], "{:?}", d.verdict);
+}
+
+/// Fails if a choice is made that the seed does not decide.
+#[test]
+fn equal_seeds_give_equal_answers() {
+    let hidden = [hide("direction-asymmetry", 1.0, 16)];
+    assert_eq!(through_a_folder(&hidden, 16, &[]), through_a_folder(&hidden, 16, &[]));
+}
+
+fn shared(name: &str) -> Option<PathBuf> {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data").join(name);
+    if folder.exists() {
+        return Some(folder);
+    }
+    eprintln!("skipped: {} is not here", folder.display());
+    None
+}
+
+fn answer(folder: &PathBuf) -> Diagnosis {
+    let measurement = Measurement::load(folder).expect("the folder can be read");
+    diagnose(&[measurement], &Options::default(), &|_, _| {}).expect("it can be diagnosed").0
+}
+
+/// The real motor: two ripples a turn are the drive's, and one run is not a replication. Least squares with a slope and two
+/// harmonics, fitted on the same turn, reaches 1.52 rpm.
+#[test]
+fn the_real_motor_has_runout() {
+    let Some(folder) = shared("twum-speed") else { return };
+    let d = answer(&folder);
+    assert!(d.named().contains(&"preload-runout"), "{:?}", d.suspected());
+    assert!(!d.replicated);
+    let rmse = d.extended.rmse_speed_rpm.expect("there is speed");
+    assert!(rmse < 1.52, "{rmse}");
+    let settling = d.effects.iter().find(|e| e.name == "frequency-settling").expect("the start-up was judged");
+    assert_ne!(settling.status, "named", "one start cannot be replicated");
+}
+
+/// An ordinary gear motor: dead zone and flattening top are found.
+#[test]
+fn the_gear_motor_has_a_dead_zone_and_a_flat_top() {
+    let Some(folder) = shared("micromouse") else { return };
+    let d = answer(&folder);
+    for name in ["dead-zone", "high-duty-saturation"] {
+        assert!(d.suspected().contains(&name), "{name}: {:?}", d.suspected());
+    }
+}
+
+fn folder_with(toml: &str, csv: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    std::fs::write(folder.path().join("measurement.toml"), toml).expect("it can be written");
+    std::fs::write(folder.path().join("a.csv"), csv).expect("it can be written");
+    folder
+}
+
+/// A motor that stands gives an answer, not a fit.
+#[test]
+fn no_motion_is_said() {
+    let toml = "name = \"still\"\nmotor = \"pcbmotor-30mm\"\nedges_per_rev = 400\n[[run]]\nid = \"a\"\nkind = \"speed\"\nfile = \"a.csv\"\n\
+                format = \"levels\"\nduty = 0.5\ndirection = \"cw\"\ndrive_on_s = 1.0\n";
+    let mut csv = String::from("time_us,level\n");
+    for k in 0..1000 {
+        csv.push_str(&format!("{},0\n", k * 1000));
+    }
+    let folder = folder_with(toml, &csv);
+    let d = answer(&folder.path().to_path_buf());
+    assert!(d.notes.iter().any(|n| n.contains("no run shows motion")), "{:?}", d.notes);
+    assert!(d.suspected().is_empty());
+}
+
+/// One duty in one direction: the answer says what it cannot say.
+#[test]
+fn one_duty_says_what_it_cannot_say() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let design = Design { duties: vec![0.5], trials: 5, seconds: 1.5, both_directions: false, ..Design::small() };
+    Sealed::new(design, 21).make(&[]).write(folder.path(), "one").expect("the folder can be written");
+    let d = answer(&folder.path().to_path_buf());
+    assert!(d.baseline.scores.r2_speed.is_none());
+    for name in ["dead-zone", "supply-sag", "direction-asymmetry"] {
+        assert!(d.not_judged.contains_key(name), "{name}: {:?}", d.not_judged);
+    }
+    assert!(d.notes.iter().any(|n| n.contains("one duty only")), "{:?}", d.notes);
+}
