@@ -234,12 +234,13 @@ impl Sealed {
     /// The strength is read from every other run: sizes below 0.02 or above the effect's largest are not used.
     pub fn scale_to(&self, hidden: &mut Hidden, rho: f64) -> f64 {
         let part = self.part();
-        let noise = part.floor(&[]);
+        let mut refitted = (part.motor.clone(), part.nuisance.latency_s);
+        let noise = part.floor_from(&[], &mut refitted);
         let (mut low, mut high) = (0.01, hidden.largest());
         hidden.size = hidden.size.min(high);
         let mut achieved = 0.0;
         for _ in 0..7 {
-            let total = part.floor(std::slice::from_ref(hidden));
+            let total = part.floor_from(std::slice::from_ref(hidden), &mut refitted);
             achieved = (total * total - noise * noise).max(1e-6).sqrt() / noise;
             if (achieved / rho - 1.0).abs() < 0.05
                 || (achieved < rho && hidden.size >= 0.999 * high && high == hidden.largest())
@@ -277,18 +278,24 @@ impl Sealed {
 
     /// RMS of the speed residual in rpm after a refit of the motor's own parameters.
     pub fn floor(&self, hidden: &[Hidden]) -> f64 {
+        self.floor_from(hidden, &mut (self.motor.clone(), self.nuisance.latency_s))
+    }
+
+    /// [`Self::floor`], starting the refit from a motor and a latency and leaving them refitted.
+    fn floor_from(&self, hidden: &[Hidden], start: &mut (Motor, f64)) -> f64 {
         let data = self.make(hidden);
-        let mut motor = self.motor.clone();
-        let mut latency = self.nuisance.latency_s;
+        // The refit does not touch the contact's shape, so one table serves all of it.
+        let table = ContactTable::new(&self.motor);
+        let (mut motor, mut latency) = start.clone();
         let seconds: f64 = data.runs.iter().map(|r| r.levels.len() as f64 * SAMPLE_S).sum();
-        let mut base = self.residual(&data, &motor, latency);
+        let mut base = self.residual(&data, &motor, &table, latency);
         let square = |r: &[f64]| r.iter().map(|v| v * v).sum::<f64>();
         let mut best = square(&base);
-        for _ in 0..8 {
+        for _ in 0..5 {
             let mut columns = Vec::new();
             for k in 0..5 {
                 let (m, l, h) = nudged(&motor, latency, k);
-                let moved = self.residual(&data, &m, l);
+                let moved = self.residual(&data, &m, &table, l);
                 columns.push(moved.iter().zip(&base).map(|(a, b)| (a - b) / h).collect::<Vec<f64>>());
             }
             let before = best;
@@ -301,7 +308,7 @@ impl Sealed {
                 m.off_friction *= 1.0 - step[2].clamp(-0.5, 0.5);
                 m.viscous = (m.viscous * (1.0 - step[3].clamp(-3.0, 0.95))).max(1e-3);
                 let l = latency - step[4].clamp(-1e-3, 1e-3);
-                let trial = self.residual(&data, &m, l);
+                let trial = self.residual(&data, &m, &table, l);
                 if square(&trial) < best {
                     best = square(&trial);
                     (motor, latency, base) = (m, l, trial);
@@ -312,20 +319,19 @@ impl Sealed {
                 break;
             }
         }
-        let rms = (best / seconds).sqrt();
-        rms
+        *start = (motor, latency);
+        (best / seconds).sqrt()
     }
 
     /// Speed residuals of every edge interval against the motor alone, weighted by the root of their duration.
-    fn residual(&self, data: &DataSet, motor: &Motor, latency: f64) -> Vec<f64> {
-        let table = ContactTable::new(motor);
+    fn residual(&self, data: &DataSet, motor: &Motor, table: &ContactTable, latency: f64) -> Vec<f64> {
         let parts: Vec<Vec<f64>> = data
             .runs
             .par_iter()
             .map(|run| {
                 let mut trace = Trace::new(
                     motor,
-                    &table,
+                    table,
                     run.duty,
                     run.sign,
                     run.pwm_hz,

@@ -150,7 +150,7 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
             shape: vec![("saturation_input", us, "1")],
         });
     }
-    for top in grid(12, 0.4, 0.95) {
+    for top in grid(15, 0.25, 0.95) {
         candidates.push(Candidate {
             effect: 2,
             columns: vec![of(&|u| -u.signum() * (u.abs() - top).max(0.0))],
@@ -251,7 +251,16 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
         let scales: Vec<f64> =
             (0..columns.len()).map(|k| if k == 0 { 1.0 } else { 3.0 * gain_rpm.abs().max(1.0) }).collect();
         let grams = Grams::new(&design(&columns), 0, &scales, None, folds.clone());
-        let (improvements, null) = grams.screen(&base, &groups, repetitions, seed + round);
+        let (mut improvements, null) = grams.screen(&base, &groups, repetitions, seed + round);
+        // A loss that adds speed is no loss: such a fit is not the effect. The null keeps both signs, to its advantage.
+        let everything: Vec<usize> = (0..pieces).collect();
+        for (k, group) in groups.iter().enumerate() {
+            let Group::Linear(own) = group else { continue };
+            let beta = grams.fit(&everything, &[base.clone(), own.clone()].concat());
+            if candidates[index[k]].effect != 1 && beta[base.len()] * gain_rpm <= 0.0 {
+                improvements[k] = f64::NEG_INFINITY;
+            }
+        }
         // Best shape an effect.
         let mut best: Vec<usize> = Vec::new();
         for e in 0..EFFECTS.len() {

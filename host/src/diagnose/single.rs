@@ -15,6 +15,9 @@ use std::f64::consts::{PI, TAU};
 pub const START_UP_S: f64 = 0.1;
 /// Half the window over which digitised speeds were smoothed, in s: earlier samples mix rest and motion.
 const SMOOTHING_S: f64 = 0.0105;
+/// Largest p-value at which an effect stays in the model as ambiguous: half turns of one run are few, and what is left out
+/// would be blamed on the others.
+const SUGGESTIVE_P: f64 = 0.05;
 /// Harmonics of the angle profile.
 const HARMONICS: usize = 4;
 /// Thermal time constant assumed where one turn cannot tell it, in s.
@@ -198,7 +201,7 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
         let winner = order[0];
         let mut f = evidence(winner, Status::Named);
         let admissible = f.name != "resonance-heating" || f.parameters[0].value > 0.0;
-        if f.p_null > LARGEST_P || f.gain < LEAST_GAIN || f.gain_interval[0] <= 0.0 || !admissible {
+        if f.p_null > SUGGESTIVE_P || f.gain < LEAST_GAIN || f.gain_interval[0] <= 0.0 || !admissible {
             if let Some(r) = rejected.iter_mut().find(|r| r.name == f.name) {
                 *r = Finding {
                     note: format!(
@@ -219,11 +222,17 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
                 f.status = Status::Ambiguous;
             }
         }
+        if f.p_null > LARGEST_P {
+            f.status = Status::Ambiguous;
+            f.note = format!("p = {:.3} would not name it even if nothing rivalled it", f.p_null);
+        }
         if f.name == "resonance-heating" {
             f.conflicts.push("run-in-wear".to_owned());
             f.status = Status::Ambiguous;
             f.note = format!(
-                "one run cannot tell warmth from wear, nor the time constant (taken as {THERMAL_S} s); the size leans on the angle profile fitted with it"
+                "{}{}one run cannot tell warmth from wear, nor the time constant (taken as {THERMAL_S} s); the size leans on the angle profile fitted with it",
+                f.note,
+                if f.note.is_empty() { "" } else { "; " }
             );
         }
         base.extend(&open[winner].1);
