@@ -264,7 +264,9 @@ fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
     common.draw(|| {
         let line: Vec<_> = speeds.iter().map(|(load, s)| (s.speed_rpm, load * 1e3)).collect();
         let title = format!("Torque against speed, {} flavour, duty {duty}", setup.flavour);
-        Ok(Figure::new(title).panel(Panel::new("speed (rpm)", "torque (mN·m)").line("model", &line)))
+        let fastest = line.iter().fold(0.0, |top: f64, point| top.max(point.0));
+        let panel = Panel::new("speed (rpm)", "torque (mN·m)").x_range(0.0, 1.05 * fastest.max(1e-3));
+        Ok(Figure::new(title).panel(panel.line("model", &line)))
     })
 }
 
