@@ -7,6 +7,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 use twum_host::model::motor_plant::Solver;
 use twum_host::model::parameters::Flavour;
 use twum_host::neck::control::Named;
@@ -178,20 +179,17 @@ fn simulate(args: RunArgs) -> Result<ExitCode> {
         name => vec![Exercise::load(name)?],
     };
     let setup = setup(&args)?;
-    let bar = ProgressBar::new(exercises.len() as u64).with_style(bar_style());
-    bar.set_message("simulating");
-    let mut sessions = Vec::new();
-    for exercise in &exercises {
-        sessions.push(setup.simulate(exercise)?);
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
+    let waiting = ProgressBar::new_spinner();
+    waiting.set_message("simulating");
+    waiting.enable_steady_tick(Duration::from_millis(200));
+    let sessions = setup.simulate_all(&exercises)?;
+    waiting.finish_and_clear();
     let scores: Vec<Score> = sessions.iter().map(|session| Score::of(session, &setup)).collect();
     let report = Report::new(&setup, scores.clone());
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        emit(format!("{}\n", serde_json::to_string_pretty(&report)?).as_bytes())?;
     } else {
-        print!("{}", report.text());
+        emit(report.text().as_bytes())?;
     }
     let all: Vec<&Session> = sessions.iter().collect();
     if let Some(file) = args.figure {
@@ -252,9 +250,10 @@ fn print_path(args: &PathArgs) -> Result<ExitCode> {
     }
     let points = path::table(&exercise, Wrist { length_m: args.neck_length }, args.rate_hz);
     if args.json {
-        println!("{}", serde_json::to_string(&json!({"exercise": exercise.name(), "points": points}))?);
+        let json = json!({"exercise": exercise.name(), "points": points});
+        emit(format!("{}\n", serde_json::to_string(&json)?).as_bytes())?;
     } else {
-        let mut out = csv::Writer::from_writer(std::io::stdout().lock());
+        let mut out = csv::Writer::from_writer(Vec::new());
         out.write_record([
             "time_s",
             "q1_deg",
@@ -273,14 +272,14 @@ fn print_path(args: &PathArgs) -> Result<ExitCode> {
         for p in &points {
             out.serialize((p.time_s, p.angles_deg, p.velocities_deg_s, p.accelerations_deg_s2, p.end_point_m))?;
         }
-        out.flush()?;
+        emit(&out.into_inner()?)?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
 fn study(args: &StudyArgs) -> Result<ExitCode> {
     if args.example {
-        print!("{}", Study::SHIPPED);
+        emit(Study::SHIPPED.as_bytes())?;
         return Ok(ExitCode::SUCCESS);
     }
     let study = match &args.file {
@@ -291,34 +290,42 @@ fn study(args: &StudyArgs) -> Result<ExitCode> {
     bar.set_message("cases");
     let rows = study.run(|done| bar.set_position(done as u64))?;
     bar.finish_and_clear();
-    let to: Box<dyn Write> = match &args.out {
-        Some(file) => Box::new(BufWriter::new(File::create(file).with_context(|| file.display().to_string())?)),
-        None => Box::new(std::io::stdout().lock()),
-    };
-    let mut out = csv::Writer::from_writer(to);
+    let mut table = csv::Writer::from_writer(Vec::new());
     for row in &rows {
-        out.serialize(row)?;
+        table.serialize(row)?;
     }
-    out.flush()?;
+    let table = table.into_inner()?;
+    match &args.out {
+        Some(file) => std::fs::write(file, table).with_context(|| file.display().to_string())?,
+        None => emit(&table)?,
+    }
     let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();
     eprintln!("{} cases, {refused} of them refused", rows.len());
     Ok(ExitCode::SUCCESS)
 }
 
 fn exercises(name: Option<String>) -> Result<ExitCode> {
-    match name {
-        Some(name) => match Exercise::shipped_file(&name) {
-            Some(file) => print!("{file}"),
-            None => bail!("no exercise `{name}` is shipped: {}", Exercise::SHIPPED.join(", ")),
-        },
-        None => {
-            for name in Exercise::SHIPPED {
-                let exercise = Exercise::shipped(name)?;
-                println!("{name:<20} {} ({} s; {})", exercise.title(), exercise.duration_s(), exercise.source());
-            }
-        }
+    if let Some(name) = name {
+        let Some(file) = Exercise::shipped_file(&name) else {
+            bail!("no exercise `{name}` is shipped: {}", Exercise::SHIPPED.join(", "));
+        };
+        emit(file.as_bytes())?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    for name in Exercise::SHIPPED {
+        let exercise = Exercise::shipped(name)?;
+        let line = format!("{name:<20} {} ({} s; {})\n", exercise.title(), exercise.duration_s(), exercise.source());
+        emit(line.as_bytes())?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Prints data; a reader that has seen enough (`| head`) is no error.
+fn emit(data: &[u8]) -> Result<()> {
+    match std::io::stdout().lock().write_all(data) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error).context("standard output"),
+        _ => Ok(()),
+    }
 }
 
 fn bar_style() -> ProgressStyle {

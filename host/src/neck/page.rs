@@ -25,7 +25,8 @@ struct Played<'a> {
     segments: Vec<Stretch<'a>>,
     reference_deg: Vec<[f64; JOINTS]>,
     true_deg: Vec<[f64; JOINTS]>,
-    error_mm: Vec<f64>,
+    /// The end point's largest error from one pose to the next.
+    worst_mm: Vec<f64>,
     summary: Vec<[String; 2]>,
 }
 
@@ -77,7 +78,11 @@ fn exercise<'a>(session: &'a Session, score: &'a Score) -> Played<'a> {
         segments: session.exercise.segments().iter().map(|s| Stretch { name: &s.name, seconds: s.seconds }).collect(),
         reference_deg: ticks.iter().map(|&tick| thousandths(session.reference_deg(tick))).collect(),
         true_deg: ticks.iter().map(|&tick| thousandths(session.joints_deg(tick))).collect(),
-        error_mm: ticks.iter().map(|&tick| (session.error_m(tick) * 1e6).round() / 1e3).collect(),
+        worst_mm: ticks
+            .iter()
+            .map(|&tick| (tick..(tick + stride).min(session.len())).map(|t| session.error_m(t)).fold(0.0, f64::max))
+            .map(|metres| (metres * 1e6).round() / 1e3)
+            .collect(),
         summary,
     }
 }
@@ -88,6 +93,7 @@ mod tests {
     use crate::model::parameters::Flavour;
     use crate::neck::exercise::Exercise;
     use crate::neck::fixture::{session, setup};
+    use std::process::Command;
 
     fn html(session: &Session) -> String {
         let score = Score::of(session, &setup(Flavour::Physical));
@@ -121,7 +127,8 @@ mod tests {
                 assert!(near("true_deg", session.joints_deg(tick)[joint]));
                 assert!(near("reference_deg", session.reference_deg(tick)[joint]));
             }
-            assert!((played["error_mm"][index].as_f64().unwrap() - session.error_m(tick) * 1e3).abs() <= 5.1e-4);
+            let worst = (tick..(tick + 40).min(session.len())).map(|t| session.error_m(t) * 1e3).fold(0.0, f64::max);
+            assert!((played["worst_mm"][index].as_f64().unwrap() - worst).abs() <= 5.1e-4);
         }
     }
 
@@ -133,5 +140,37 @@ mod tests {
         let html = html(&session);
         assert!(!html.contains("</script><b>"));
         assert_eq!(data(&html)["exercises"][0]["segments"][1]["name"], "</script><b>");
+    }
+
+    /// The page as a person would see it: its script runs in a browser, and shows the simulator's own numbers.
+    #[test]
+    fn a_browser_shows_the_sessions_pose() {
+        let browsers = ["chromium", "chromium-browser", "google-chrome"];
+        let Some(browser) = browsers.into_iter().find(|name| Command::new(name).arg("--version").output().is_ok())
+        else {
+            eprintln!("SKIPPED: no Chromium here, the page's script was not run");
+            return;
+        };
+        let session = session("flexion-extension");
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("neck.html");
+        std::fs::write(&file, html(&session)).unwrap();
+        let url = format!("file://{}#flexion-extension@6.5", file.display());
+        let profile = format!("--user-data-dir={}", folder.path().join("profile").display());
+        let options =
+            ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=2000", "--dump-dom", &profile];
+        let output = Command::new(browser).args(options).arg(url).output().unwrap();
+        let dom = String::from_utf8_lossy(&output.stdout);
+        assert!(!dom.contains("data-failed"), "the script failed: {dom}");
+        let attribute = |name: &str| -> &str {
+            let (_, after) = dom.split_once(&format!("{name}=\"")).unwrap_or_else(|| panic!("no {name} in {dom}"));
+            after.split_once('"').unwrap().0
+        };
+        assert_eq!((attribute("data-exercise"), attribute("data-time")), ("flexion-extension", "6.500"));
+        let shown_mm: f64 = attribute("data-error-mm").parse().unwrap();
+        let error_mm = session.error_m(13_000) * 1e3;
+        // Angles are kept to a thousandth of a degree, 4 µm at the end point.
+        assert!((shown_mm - error_mm).abs() < 0.01, "{shown_mm} against {error_mm} mm");
+        assert!(dom.contains("Now: hold flexion"));
     }
 }

@@ -81,20 +81,22 @@ pub fn table(exercise: &Exercise, wrist: Wrist, rate_hz: f64) -> Vec<PathPoint> 
         .collect()
 }
 
-/// The same path as the firmware tracks it: way points to the nearest count of the joint's sensor, times to the µs.
+/// The same path as the firmware tracks it, from the joint's start: way points to the nearest count of its sensor, times
+/// to the µs.
 ///
 /// An [`Exercise`] has at most as many segments as a reference has way points, so that none is lost.
 pub fn reference(exercise: &Exercise, joint: usize, edges_per_rev: u32) -> Reference {
     let counts = |deg: f64| (deg * f64::from(edges_per_rev) / 360.0).round() as i32;
+    let start = counts(exercise.start_deg[joint]);
     let way_points = exercise
         .segments
         .iter()
         .map(|segment| WayPoint {
-            position: counts(segment.to_deg[joint]),
+            position: counts(segment.to_deg[joint]) - start,
             duration_us: (segment.seconds * 1e6).round() as u32,
         })
         .collect();
-    Reference::Path { start: counts(exercise.start_deg[joint]), way_points }
+    Reference::Path { start: 0, way_points }
 }
 
 #[cfg(test)]
@@ -170,7 +172,8 @@ mod tests {
                     for tick in 0..44_000u64 {
                         let exact = motion(&exercise, tick as f64 * 500e-6)[joint];
                         let target = reference.at(tick * 500);
-                        let deg = f64::from(target.position) * pitch_deg;
+                        let start = (exercise.start_deg[joint] / pitch_deg).round();
+                        let deg = (start + f64::from(target.position)) * pitch_deg;
                         assert!((deg - exact.deg).abs() <= 1.1 * pitch_deg, "{name} joint {joint} tick {tick}: {deg}");
                         let deg_s = f64::from(target.rate) * pitch_deg;
                         assert!((deg_s - exact.deg_s).abs() <= 2.2 * pitch_deg, "{name} joint {joint} tick {tick}");

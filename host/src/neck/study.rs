@@ -7,7 +7,7 @@ use super::kinematics::{JOINTS, Wrist};
 use super::load::Head;
 use super::motor::JointMotor;
 use super::score::Score;
-use super::session::{DEFAULT_EDGES_PER_REV, Setup};
+use super::session::{DEFAULT_EDGES_PER_REV, SessionError, Setup};
 use crate::model::motor::MotorError;
 use crate::model::motor_plant::Solver;
 use crate::model::parameters::Flavour;
@@ -187,41 +187,60 @@ impl Study {
         let mut motors = Vec::new();
         for name in &self.motors {
             for &flavour in &self.flavours {
-                motors.push((name, flavour, JointMotor::load(name, flavour, Solver::Averaged)?));
+                motors.push((name.as_str(), flavour, JointMotor::load(name, flavour, Solver::Averaged)?));
             }
         }
+        // One setup makes all exercises, so that the joints that rest in each are computed once.
+        let setups = cases / exercises.len();
         let finished = AtomicUsize::new(0);
-        let rows = (0..cases).into_par_iter().map(|case| {
-            let mut rest = case;
-            let mut pick = |length: usize| {
-                let index = rest % length;
-                rest /= length;
-                index
+        let by_setup: Vec<Vec<Row>> = (0..setups)
+            .into_par_iter()
+            .map(|index| {
+                let rows = self.setup_rows(index, &motors, &exercises);
+                done(finished.fetch_add(rows.len(), Ordering::Relaxed) + rows.len());
+                rows
+            })
+            .collect();
+        let mut columns: Vec<_> = by_setup.into_iter().map(Vec::into_iter).collect();
+        Ok((0..exercises.len())
+            .flat_map(|_| columns.iter_mut().filter_map(Iterator::next).collect::<Vec<_>>())
+            .collect())
+    }
+
+    /// The rows of one setup, an exercise each; `index` counts the setups with the last list fastest.
+    fn setup_rows(&self, index: usize, motors: &[(&str, Flavour, JointMotor)], exercises: &[Exercise]) -> Vec<Row> {
+        let mut rest = index;
+        let mut pick = |length: usize| {
+            let index = rest % length;
+            rest /= length;
+            index
+        };
+        let phase_deg = self.disturbance_phase_deg[pick(self.disturbance_phase_deg.len())];
+        let frequency_hz = self.disturbance_hz[pick(self.disturbance_hz.len())];
+        let amplitude_deg = self.disturbance_deg[pick(self.disturbance_deg.len())];
+        let pwm_hz = self.pwm_hz[pick(self.pwm_hz.len())];
+        let edges_per_rev = self.edges_per_rev[pick(self.edges_per_rev.len())];
+        let control = self.controls[pick(self.controls.len())];
+        let (motor_name, flavour, motor) = &motors[pick(motors.len())];
+        let setup = Setup {
+            motor: motor.clone(),
+            control,
+            edges_per_rev,
+            pwm_hz,
+            disturbance: Disturbance { amplitude_deg, frequency_hz, phase_deg, joints: [true; JOINTS] },
+            head: Head::NONE,
+            wrist: Wrist::default(),
+        };
+        let row = |exercise: &Exercise, outcome: Result<Score, SessionError>| {
+            let (score, refused) = match outcome {
+                Ok(score) => (Some(score), String::new()),
+                Err(error) => (None, error.to_string()),
             };
-            let phase_deg = self.disturbance_phase_deg[pick(self.disturbance_phase_deg.len())];
-            let frequency_hz = self.disturbance_hz[pick(self.disturbance_hz.len())];
-            let amplitude_deg = self.disturbance_deg[pick(self.disturbance_deg.len())];
-            let pwm_hz = self.pwm_hz[pick(self.pwm_hz.len())];
-            let edges_per_rev = self.edges_per_rev[pick(self.edges_per_rev.len())];
-            let control = self.controls[pick(self.controls.len())];
-            let (motor_name, flavour, motor) = &motors[pick(motors.len())];
-            let exercise = &exercises[pick(exercises.len())];
-            let setup = Setup {
-                motor: motor.clone(),
-                control,
-                edges_per_rev,
-                pwm_hz,
-                disturbance: Disturbance { amplitude_deg, frequency_hz, phase_deg, joints: [true; JOINTS] },
-                head: Head::NONE,
-                wrist: Wrist::default(),
-            };
-            let outcome = setup.simulate(exercise).map(|session| Score::of(&session, &setup));
-            done(finished.fetch_add(1, Ordering::Relaxed) + 1);
-            let score = outcome.as_ref().ok();
+            let score = score.as_ref();
             let joint = |index: usize| score.map(|s| s.joints[index].mean_abs_error_deg);
             Row {
                 exercise: exercise.name().to_owned(),
-                motor: (*motor_name).clone(),
+                motor: (*motor_name).to_owned(),
                 flavour: *flavour,
                 control,
                 edges_per_rev,
@@ -237,10 +256,19 @@ impl Study {
                 joint2_mean_abs_error_deg: joint(1),
                 joint3_mean_abs_error_deg: joint(2),
                 saturated_share: score.map(|s| s.joints.iter().map(|j| j.saturated_share).fold(0.0, f64::max)),
-                refused: outcome.as_ref().err().map(ToString::to_string).unwrap_or_default(),
+                refused,
             }
-        });
-        Ok(rows.collect())
+        };
+        match setup.simulate_all(exercises) {
+            Ok(sessions) => {
+                sessions.iter().map(|session| row(&session.exercise, Ok(Score::of(session, &setup)))).collect()
+            }
+            // One exercise that cannot be done must not take the others with it.
+            Err(_) => exercises
+                .iter()
+                .map(|exercise| row(exercise, setup.simulate(exercise).map(|session| Score::of(&session, &setup))))
+                .collect(),
+        }
     }
 }
 
