@@ -48,23 +48,32 @@ fn plane(session: &Session, (x_label, x): (&str, usize), (y_label, y): (&str, us
 }
 
 fn end_point_error(session: &Session) -> Panel {
-    let error: Vec<(f64, f64)> =
-        ticks(session).map(|tick| (session.time_s(tick), session.error_m(tick) * 1e3)).collect();
-    Panel::new("time (s)", "end-point error (mm)").line("", &error)
+    Panel::new("time (s)", "end-point error (mm)").line("", &worst(session, |tick| session.error_m(tick) * 1e3))
 }
 
 fn joint_errors(session: &Session) -> Panel {
     (0..JOINTS).fold(Panel::new("time (s)", "joint error (°)"), |panel, joint| {
-        let error: Vec<(f64, f64)> = ticks(session)
-            .map(|tick| (session.time_s(tick), session.joints_deg(tick)[joint] - session.reference_deg(tick)[joint]))
-            .collect();
-        panel.line(format!("joint {}", joint + 1), &error)
+        let error = |tick| session.joints_deg(tick)[joint] - session.reference_deg(tick)[joint];
+        panel.line(format!("joint {}", joint + 1), &worst(session, error))
     })
 }
 
+/// The error largest in magnitude of every step: a peak between two points must not be lost.
+fn worst(session: &Session, error: impl Fn(usize) -> f64) -> Vec<(f64, f64)> {
+    let stride = stride(session);
+    let step = |tick: usize| {
+        let errors = (tick..(tick + stride).min(session.len())).map(&error);
+        (session.time_s(tick), errors.fold(0.0, |worst: f64, e| if e.abs() > worst.abs() { e } else { worst }))
+    };
+    ticks(session).map(step).collect()
+}
+
+fn stride(session: &Session) -> usize {
+    ((STEP_S / session.tick_s).round() as usize).max(1)
+}
+
 fn ticks(session: &Session) -> impl Iterator<Item = usize> + use<> {
-    let stride = ((STEP_S / session.tick_s).round() as usize).max(1);
-    (0..session.len()).step_by(stride)
+    (0..session.len()).step_by(stride(session))
 }
 
 #[cfg(test)]
