@@ -6,13 +6,15 @@ use std::time::Duration;
 use twum_shared::Fault;
 use twum_shared::frame::{self, FrameError, Header, MAX_ENCODED};
 use twum_shared::message::{
-    CaptureMode, Configuration, DeviceMessage, HostMessage, Identity, Mode, RunEnd, SpeedRun, TrackRun,
+    CaptureMode, Configuration, DeviceMessage, HostMessage, Identity, Mode, Refusal, RunEnd, SpeedRun, TrackRun,
 };
 
 /// A keepalive goes out this often while the host waits: well inside the device's command timeout.
 const KEEPALIVE: Duration = Duration::from_millis(100);
 /// How long a command's answer may take.
 const ANSWER: Duration = Duration::from_millis(1_000);
+/// How long a busy board is left alone before it is asked again.
+const ASK_AGAIN: Duration = Duration::from_millis(20);
 /// Longest alignment: four attempts of a search of 20 s at most.
 const ALIGNMENT: Duration = Duration::from_secs(100);
 
@@ -276,16 +278,28 @@ impl<P: Port> Session<P> {
         self.expected = Some(header.sequence.wrapping_add(1));
     }
 
-    /// Sends a command and waits for its answer; other messages stay in order for [`Session::next`].
+    /// Sends a command and waits for its answer; other messages stay in order for [`Session::next`]. A board that is busy,
+    /// as while it writes a new configuration to flash, is asked again.
     fn command(&mut self, name: &'static str, message: &HostMessage) -> Result<(), LinkError> {
-        let sent = self.send(message)?;
-        self.wait_for(ANSWER, |message| match message {
-            DeviceMessage::Ack { of } if *of == sent => Some(Ok(())),
-            DeviceMessage::Nack { of, reason } if *of == sent => {
-                Some(Err(LinkError::Refused { command: name, reason: *reason }))
+        let patience = self.port.elapsed() + ANSWER;
+        loop {
+            let sent = self.send(message)?;
+            let answer = self.wait_for(ANSWER, |message| match message {
+                DeviceMessage::Ack { of } if *of == sent => Some(Ok(())),
+                DeviceMessage::Nack { of, reason } if *of == sent => Some(Err(*reason)),
+                _ => None,
+            })?;
+            match answer {
+                Ok(()) => return Ok(()),
+                Err(Refusal::Busy) if self.port.elapsed() < patience => {
+                    match self.wait_for(ASK_AGAIN, |_| None::<()>) {
+                        Ok(()) | Err(LinkError::NoAnswer { .. }) => {}
+                        Err(error) => return Err(error),
+                    }
+                }
+                Err(reason) => return Err(LinkError::Refused { command: name, reason }),
             }
-            _ => None,
-        })?
+        }
     }
 
     /// Waits for the first message `wanted` takes, and removes it; the others stay in order.

@@ -9,7 +9,8 @@ use twum_host::link::bench::{Action, Experiment, perform};
 use twum_host::link::{LinkError, Port, Session, SimulatedLink};
 use twum_host::record::store::{Entry, Reader};
 use twum_host::sim::Setup;
-use twum_shared::message::{CaptureMode, RunEnd};
+use twum_shared::frame::{self, Decoder, Header, MAX_ENCODED};
+use twum_shared::message::{CaptureMode, DeviceMessage, HostMessage, Refusal, RunEnd};
 use twum_shared::{Direction, Duty, Fault};
 
 /// Answers every read with the next of its lines.
@@ -160,4 +161,59 @@ fn a_pulled_cable_leaves_the_motor_off_and_the_recording_goes_on_with_its_gap_ma
     assert_eq!(remarks.len(), 2, "{remarks:?}");
     assert!(remarks[0].contains("lost") && remarks[1].contains("reconnected"), "{remarks:?}");
     assert!(before > 50 && after > 3, "{before} frames before, {after} after");
+}
+
+/// A board that is busy until some time, as one that writes its flash.
+struct BusyBoard {
+    busy_until: Duration,
+    now: Duration,
+    decoder: Decoder,
+    answers: Vec<u8>,
+    asked: u32,
+}
+
+impl Port for BusyBoard {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        for byte in bytes {
+            if let Some(Ok((header, HostMessage::Arm))) = self.decoder.push::<HostMessage>(*byte) {
+                let of = header.sequence;
+                let answer = if self.now < self.busy_until {
+                    DeviceMessage::Nack { of, reason: Refusal::Busy }
+                } else {
+                    DeviceMessage::Ack { of }
+                };
+                let header = Header { sequence: self.asked, time_us: 0 };
+                self.answers.extend(frame::encode(header, &answer, &mut [0; MAX_ENCODED]).unwrap());
+                self.asked += 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
+        if self.answers.is_empty() {
+            self.now += wait.max(Duration::from_millis(1));
+        }
+        into.append(&mut self.answers);
+        Ok(())
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.now
+    }
+
+    fn is_virtual(&self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn a_busy_board_is_asked_again_and_not_for_ever() {
+    let board = |busy_until| {
+        let (now, decoder, answers) = (Duration::ZERO, Decoder::new(), Vec::new());
+        Session::new(BusyBoard { busy_until, now, decoder, answers, asked: 0 })
+    };
+    board(Duration::from_millis(400)).arm().unwrap();
+    let error = board(Duration::MAX).arm().unwrap_err();
+    assert!(matches!(error, LinkError::Refused { reason: Refusal::Busy, .. }), "{error}");
 }
