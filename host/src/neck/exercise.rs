@@ -260,15 +260,14 @@ impl Exercise {
     pub fn check_speed(&self, motor: &str, limit_deg_s: f64) -> Result<(), Problem> {
         let mut from = self.start_deg;
         for (index, segment) in self.segments.iter().enumerate() {
-            for joint in 0..JOINTS {
-                let distance = (segment.to_deg[joint] - from[joint]).abs();
-                let peak_deg_s = PEAK_OVER_MEAN_VELOCITY * distance / segment.seconds;
+            for (joint, (&from_deg, &to_deg)) in from.iter().zip(&segment.to_deg).enumerate() {
+                let peak_deg_s = PEAK_OVER_MEAN_VELOCITY * (to_deg - from_deg).abs() / segment.seconds;
                 if peak_deg_s > limit_deg_s {
                     return Err(Problem::TooFast {
                         joint: joint + 1,
                         segment: index + 1,
-                        from_deg: from[joint],
-                        to_deg: segment.to_deg[joint],
+                        from_deg,
+                        to_deg,
                         seconds: segment.seconds,
                         peak_deg_s,
                         limit_deg_s,
