@@ -43,7 +43,7 @@ pub struct Args {
     /// Distance of the estimates in µs; by default that of the samples, or 1000
     #[arg(long, value_name = "US")]
     period_us: Option<f64>,
-    /// Edges recorded with times are true within plus or minus this, in µs
+    /// Edges recorded with times are true within plus or minus this, in µs (500 for edges made from 1 kHz samples)
     #[arg(long, default_value_t = 2.0, value_name = "US")]
     edge_uncertainty_us: f64,
     /// Print the summary as JSON

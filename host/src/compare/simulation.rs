@@ -1,0 +1,363 @@
+//! A measurement against the simulation: the speed–duty line, and each run's speed, position and transients.
+//!
+//! The simulated encoder is recorded the way the run was (sampled levels or edges) and goes through the same estimator, so
+//! that what differs is the motor and not the way of looking at it.
+
+use crate::model::actuator::Command;
+use crate::model::effects::EffectSet;
+use crate::model::motor::Motor;
+use crate::model::motor_plant::{History, Solver};
+use crate::model::parameters::Flavour;
+use crate::model::plant;
+use crate::model::simulate::{PlantModel, Program, simulate};
+use crate::record::convert::to_levels;
+use crate::record::measurement::{Direction, LevelEdge, Measurement, Run, RunData, RunKind};
+use crate::report::figure::{Figure, Panel};
+use crate::signal::SignalError;
+use crate::signal::run::{Method, Motion, Options, motion};
+use serde::Serialize;
+
+/// Speeds before this time belong to the start, in s.
+const START_S: f64 = 0.2;
+/// Share of the settled speed that counts as risen, and below which the rotor counts as stopped.
+const RISEN: f64 = 0.63;
+const STOPPED: f64 = 0.05;
+/// Duties below which a line through mean speeds means nothing.
+const LEAST_DUTIES: usize = 3;
+
+/// Why a run cannot be compared.
+#[derive(Debug, thiserror::Error)]
+pub enum ComparisonError {
+    /// Nothing to simulate.
+    #[error("{0} has no open-loop run with a duty and a speed: the simulation needs `kind = \"speed\"` and `duty`")]
+    NoRuns(String),
+    /// A run that cannot be read as a speed.
+    #[error("run `{run}`: {source}")]
+    Signal {
+        /// The run.
+        run: String,
+        /// Why.
+        source: SignalError,
+    },
+}
+
+/// A measurement beside its simulation.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Which reading of the model was simulated.
+    pub flavour: Flavour,
+    /// Share of the variance of the runs' mean speeds that the simulation explains; none below three duties.
+    pub r2_speed: Option<f64>,
+    /// RMSE of the speed over all runs, each alike, in rpm.
+    pub rmse_speed_rpm: f64,
+    /// RMSE of the angle turned since the start of the run, over all runs alike, in degrees.
+    pub rmse_position_deg: f64,
+    /// The runs.
+    pub runs: Vec<RunComparison>,
+    /// Runs left out: not open loop, or without a duty.
+    pub left_out: Vec<String>,
+}
+
+/// One run beside its simulation.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RunComparison {
+    /// The run.
+    pub id: String,
+    /// Fraction of the PWM period with drive on.
+    pub duty: f64,
+    /// RMSE of the speed, in rpm.
+    pub rmse_speed_rpm: f64,
+    /// RMSE of the angle turned since the start, in degrees.
+    pub rmse_position_deg: f64,
+    /// What was measured.
+    pub measured: Transient,
+    /// What was simulated.
+    pub simulated: Transient,
+    /// The speeds compared, for pictures: time in s, measured and simulated rpm.
+    #[serde(skip)]
+    pub speed: Vec<(f64, f64, f64)>,
+}
+
+/// How a run starts, settles and stops. Speeds are positive in the commanded direction.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Transient {
+    /// Mean speed while driven, in rpm.
+    pub mean_rpm: f64,
+    /// Mean speed while driven, the first 0.2 s left out, in rpm.
+    pub settled_rpm: f64,
+    /// Greatest speed in the first 0.2 s, in rpm.
+    pub start_peak_rpm: f64,
+    /// From the start to 63 % of the settled speed, in s.
+    pub rise_s: Option<f64>,
+    /// From the end of the drive to 5 % of the settled speed, in s.
+    pub stop_s: Option<f64>,
+}
+
+/// Simulates every open-loop run of a measurement with a motor and compares.
+///
+/// # Errors
+/// [`ComparisonError::NoRuns`] when no run can be simulated; a run that is not a speed.
+pub fn compare(measurement: &Measurement, motor: &Motor, flavour: Flavour) -> Result<Comparison, ComparisonError> {
+    let model = PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged };
+    let (mut runs, mut left_out) = (Vec::new(), Vec::new());
+    for run in &measurement.runs {
+        match run.duty.filter(|_| run.kind == RunKind::Speed && !matches!(run.data, RunData::Drive { .. })) {
+            Some(duty) => runs.push(
+                compare_run(run, duty, measurement.edges_per_rev, &model)
+                    .map_err(|source| ComparisonError::Signal { run: run.id.clone(), source })?,
+            ),
+            None => left_out.push(run.id.clone()),
+        }
+    }
+    if runs.is_empty() {
+        return Err(ComparisonError::NoRuns(measurement.folder.display().to_string()));
+    }
+    let rms =
+        |f: &dyn Fn(&RunComparison) -> f64| (runs.iter().map(|r| f(r).powi(2)).sum::<f64>() / runs.len() as f64).sqrt();
+    Ok(Comparison {
+        flavour,
+        r2_speed: r2_of_speeds(&runs),
+        rmse_speed_rpm: rms(&|r| r.rmse_speed_rpm),
+        rmse_position_deg: rms(&|r| r.rmse_position_deg),
+        left_out,
+        runs,
+    })
+}
+
+fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &PlantModel) -> Result<RunComparison, SignalError> {
+    let options = Options { method: Method::Smoother, edges_per_rev, period_us: None, edge_uncertainty_us: 2.0 };
+    let measured = motion(run, &options)?;
+    let simulated_run = Run { data: simulated_data(run, duty, edges_per_rev, model), ..run.clone() };
+    let simulated = motion(&simulated_run, &options)?;
+    let sign = run.direction.unwrap_or(Direction::Cw).sign();
+    let times_s: Vec<f64> = measured.time_us.iter().map(|t| t * 1e-6).collect();
+    let simulated_rpm = at_times(&simulated, &simulated.speed_rpm, &measured.time_us);
+    let simulated_rad = at_times(&simulated, &simulated.position_rad, &measured.time_us);
+    let turned = |rad: &[f64], i: usize| (rad[i] - rad[0]).to_degrees();
+    let n = times_s.len();
+    let rms = |f: &dyn Fn(usize) -> f64| ((0..n).map(|i| f(i).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
+    let drive_on_s = run.drive_on_s.unwrap_or(f64::INFINITY);
+    let forwards = |rpm: &[f64]| -> Vec<f64> { rpm.iter().map(|v| sign * v).collect() };
+    Ok(RunComparison {
+        id: run.id.clone(),
+        duty,
+        rmse_speed_rpm: rms(&|i| measured.speed_rpm[i] - simulated_rpm[i]),
+        rmse_position_deg: rms(&|i| turned(&measured.position_rad, i) - turned(&simulated_rad, i)),
+        measured: transient(&times_s, &forwards(&measured.speed_rpm), drive_on_s),
+        simulated: transient(&times_s, &forwards(&simulated_rpm), drive_on_s),
+        speed: (0..n).map(|i| (times_s[i], measured.speed_rpm[i], simulated_rpm[i])).collect(),
+    })
+}
+
+/// What the run would have recorded of the simulated motor. The encoder's phase is that of an aligned motor, or the middle
+/// of a pitch where it is unknown.
+fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, model: &PlantModel) -> RunData {
+    let direction = match run.direction.unwrap_or(Direction::Cw) {
+        Direction::Cw => plant::Direction::Cw,
+        Direction::Ccw => plant::Direction::Ccw,
+    };
+    let pitch_rad = std::f64::consts::TAU / f64::from(edges_per_rev);
+    let mut commands = vec![Command { time_s: 0.0, duty, direction }];
+    commands.extend(run.drive_on_s.map(|time_s| Command { time_s, duty: 0.0, direction }));
+    let program = Program {
+        commands,
+        pwm_hz: run.pwm_hz,
+        pwm_phase_s: run.pwm_phase_s,
+        end_s: run.span_us().1 * 1e-6,
+        edges_per_rev,
+        encoder_phase_rad: if run.aligned { 0.0 } else { 0.5 * pitch_rad },
+    };
+    let trace = simulate(&program, model, &EffectSet::default(), History::default());
+    let edges = trace.edges.iter().map(|e| LevelEdge { time_us: e.time_s * 1e6, level: e.level }).collect();
+    let edges = RunData::Edges { initial: trace.initial, start_us: 0.0, edges, end_us: trace.end_s * 1e6 };
+    match run.data {
+        RunData::Levels { period_us, .. } => to_levels(edges, period_us),
+        _ => edges,
+    }
+}
+
+/// Values of a motion at other times: straight lines between, the end values beyond.
+fn at_times(motion: &Motion, values: &[f64], times_us: &[f64]) -> Vec<f64> {
+    let mut i = 0;
+    times_us
+        .iter()
+        .map(|t| {
+            while i + 2 < motion.time_us.len() && motion.time_us[i + 1] < *t {
+                i += 1;
+            }
+            let Some(((t0, t1), (v0, v1))) =
+                motion.time_us.get(i).zip(motion.time_us.get(i + 1)).zip(values.get(i).zip(values.get(i + 1)))
+            else {
+                return values.first().copied().unwrap_or(0.0);
+            };
+            v0 + (v1 - v0) * ((t - t0) / (t1 - t0)).clamp(0.0, 1.0)
+        })
+        .collect()
+}
+
+fn transient(times_s: &[f64], rpm: &[f64], drive_on_s: f64) -> Transient {
+    let mean_over = |from_s: f64, to_s: f64| {
+        let inside: Vec<f64> =
+            times_s.iter().zip(rpm).filter(|(t, _)| (from_s..to_s).contains(*t)).map(|(_, v)| *v).collect();
+        inside.iter().sum::<f64>() / inside.len().max(1) as f64
+    };
+    let driven_to = drive_on_s.min(times_s.last().copied().unwrap_or(0.0));
+    let settled_rpm = mean_over(START_S.min(0.5 * driven_to), driven_to);
+    let first = |from_s: f64, reached: &dyn Fn(f64) -> bool| {
+        times_s.iter().zip(rpm).find(|(t, v)| **t >= from_s && reached(**v)).map(|(t, _)| t - from_s)
+    };
+    let start = times_s.iter().zip(rpm).filter(|(t, _)| (0.0..START_S).contains(*t)).map(|(_, v)| *v);
+    Transient {
+        mean_rpm: mean_over(0.0, driven_to),
+        settled_rpm,
+        start_peak_rpm: start.fold(0.0, f64::max),
+        rise_s: if settled_rpm > 0.0 { first(0.0, &|v| v >= RISEN * settled_rpm) } else { None },
+        stop_s: if drive_on_s.is_finite() { first(drive_on_s, &|v| v <= STOPPED * settled_rpm) } else { None },
+    }
+}
+
+fn r2_of_speeds(runs: &[RunComparison]) -> Option<f64> {
+    let mut duties: Vec<u64> = runs.iter().map(|r| r.duty.to_bits()).collect();
+    duties.sort_unstable();
+    duties.dedup();
+    if duties.len() < LEAST_DUTIES {
+        return None;
+    }
+    let mean = runs.iter().map(|r| r.measured.mean_rpm).sum::<f64>() / runs.len() as f64;
+    let all: f64 = runs.iter().map(|r| (r.measured.mean_rpm - mean).powi(2)).sum();
+    let left: f64 = runs.iter().map(|r| (r.measured.mean_rpm - r.simulated.mean_rpm).powi(2)).sum();
+    (all > 0.0).then(|| 1.0 - left / all)
+}
+
+impl std::fmt::Display for Comparison {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let seconds = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{:.0}", v * 1e3));
+        let width = self.runs.iter().map(|r| r.id.len()).max().unwrap_or(0).max(3);
+        writeln!(
+            f,
+            "{:width$}  {:>5}  {:>17}  {:>17}  {:>13}  {:>13}  {:>8} {:>8}",
+            "run", "duty", "mean rpm", "start peak rpm", "rise ms", "stop ms", "RMSE rpm", "RMSE °"
+        )?;
+        for r in &self.runs {
+            let (m, s) = (&r.measured, &r.simulated);
+            writeln!(
+                f,
+                "{:width$}  {:>5.2}  {:>8.3} {:>8.3}  {:>8.3} {:>8.3}  {:>6} {:>6}  {:>6} {:>6}  {:>8.3} {:>8.2}",
+                r.id,
+                r.duty,
+                m.mean_rpm,
+                s.mean_rpm,
+                m.start_peak_rpm,
+                s.start_peak_rpm,
+                seconds(m.rise_s),
+                seconds(s.rise_s),
+                seconds(m.stop_s),
+                seconds(s.stop_s),
+                r.rmse_speed_rpm,
+                r.rmse_position_deg
+            )?;
+        }
+        writeln!(f, "(two numbers: measured, simulated with the {} model)", self.flavour)?;
+        let r2 = self.r2_speed.map_or("needs three duties".to_owned(), |v| format!("{v:.4}"));
+        writeln!(f, "R² of speed against duty: {r2}")?;
+        writeln!(f, "RMSE of the speed: {:.3} rpm, of the angle: {:.2}°", self.rmse_speed_rpm, self.rmse_position_deg)?;
+        if !self.left_out.is_empty() {
+            writeln!(f, "left out (closed loop, or no duty): {}", self.left_out.join(", "))?;
+        }
+        Ok(())
+    }
+}
+
+impl Comparison {
+    /// Speeds against time, their difference, and mean speeds against duty.
+    pub fn figure(&self, title: &str) -> Figure {
+        /// More names than this make a legend nobody reads.
+        const MOST_NAMED: usize = 6;
+        let mut speeds = Panel::new("time (s)", "speed (rpm)").title("Measured and simulated");
+        let mut differences = Panel::new("time (s)", "difference (rpm)").title("Measured less simulated");
+        for run in &self.runs {
+            let named = self.runs.len() <= MOST_NAMED;
+            let name = |what: &str| if named { format!("{} {what}", run.id) } else { what.to_owned() };
+            let column = |f: &dyn Fn(&(f64, f64, f64)) -> f64| -> Vec<(f64, f64)> {
+                run.speed.iter().map(|p| (p.0, f(p))).collect()
+            };
+            speeds = speeds.line(name("measured"), &column(&|p| p.1)).dashed(name("simulated"), &column(&|p| p.2));
+            differences = differences.line(if named { run.id.as_str() } else { "" }, &column(&|p| p.1 - p.2));
+        }
+        let of = |f: &dyn Fn(&RunComparison) -> f64| -> Vec<(f64, f64)> {
+            self.runs.iter().map(|r| (100.0 * r.duty, f(r))).collect()
+        };
+        let r2 = self.r2_speed.map_or(String::new(), |v| format!(" (R\u{b2} {v:.3})"));
+        let duty = Panel::new("duty (%)", "mean speed (rpm)")
+            .title(format!("Speed against duty{r2}"))
+            .points("measured", &of(&|r| r.measured.mean_rpm))
+            .points("simulated", &of(&|r| r.simulated.mean_rpm));
+        Figure::new(title).size(1000, 960).panel(speeds).panel(differences).panel(duty)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::PathBuf;
+
+    /// A measurement of the model itself, as a lab would have recorded it.
+    fn measured(duties: &[f64], slower: f64) -> Measurement {
+        let motor = Motor::pcbmotor_30mm();
+        let flavour = Flavour::Physical;
+        let model = PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged };
+        let runs = duties
+            .iter()
+            .map(|duty| {
+                let end = RunData::Velocity { time_us: vec![0.0, 0.7e6], rpm: vec![0.0; 2] };
+                let mut run = Run::new(format!("d{}", 100.0 * duty), RunKind::Speed, end);
+                (run.duty, run.direction, run.drive_on_s) = (Some(*duty), Some(Direction::Ccw), Some(0.5));
+                let RunData::Edges { initial, start_us, edges, end_us } = simulated_data(&run, *duty, 400, &model)
+                else {
+                    unreachable!("only levels become levels")
+                };
+                let edges =
+                    edges.iter().map(|e| LevelEdge { time_us: e.time_us * slower, level: e.level }).collect::<Vec<_>>();
+                let kept = edges.into_iter().filter(|e| e.time_us < end_us).collect();
+                run.data = to_levels(RunData::Edges { initial, start_us, edges: kept, end_us }, 1000.0);
+                run
+            })
+            .collect();
+        Measurement {
+            name: "model".into(),
+            motor: "pcbmotor-30mm".into(),
+            edges_per_rev: 400,
+            runs,
+            folder: PathBuf::from("model"),
+        }
+    }
+
+    #[test]
+    fn a_measurement_of_the_model_itself_agrees() {
+        let found = compare(&measured(&[0.5, 0.75, 1.0], 1.0), &Motor::pcbmotor_30mm(), Flavour::Physical).unwrap();
+        assert!(found.r2_speed.unwrap() > 0.9999, "{found}");
+        assert!(found.rmse_speed_rpm < 1e-6 && found.rmse_position_deg < 1e-6, "{found}");
+        let full = &found.runs[2];
+        assert!(full.measured.settled_rpm > 10.0 && full.measured.rise_s.unwrap() < 0.1, "{full:?}");
+        assert!(full.measured.stop_s.unwrap() < 0.1, "{full:?}");
+    }
+
+    #[test]
+    fn a_slower_motor_is_told_by_how_much() {
+        let found = compare(&measured(&[0.5, 1.0], 1.1), &Motor::pcbmotor_30mm(), Flavour::Physical).unwrap();
+        assert_eq!(found.r2_speed, None);
+        let full = &found.runs[1];
+        let ratio = full.simulated.settled_rpm / full.measured.settled_rpm;
+        assert!((ratio - 1.1).abs() < 0.02, "{ratio}: {found}");
+        assert!(found.to_string().contains("needs three duties"));
+        found.figure("Model").svg().unwrap();
+    }
+
+    #[test]
+    fn a_folder_without_duties_is_refused() {
+        let mut measurement = measured(&[1.0], 1.0);
+        measurement.runs[0].duty = None;
+        let found = compare(&measurement, &Motor::pcbmotor_30mm(), Flavour::Physical);
+        assert!(matches!(found, Err(ComparisonError::NoRuns(_))));
+    }
+}
