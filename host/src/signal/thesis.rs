@@ -78,8 +78,9 @@ pub fn estimate(
     let grid_s: Vec<f64> = (0..level_off).map(|i| i as f64 * period_s).collect();
     let spline_rad = spline.values(&grid_s);
     let (mut position_rad, mut raw_rpm) = first_fit(&spline_rad[..HALF], period_s);
+    let cubic = LocalCubic::new(WINDOW, period_s);
     for window in spline_rad.windows(WINDOW) {
-        let (position, speed) = local_cubic(window, period_s);
+        let (position, speed) = cubic.at_middle(window);
         position_rad.push(position);
         raw_rpm.push(speed * RAD_S_TO_RPM);
     }
@@ -112,21 +113,33 @@ impl ThesisEstimate {
     }
 }
 
-/// Value and derivative at the middle of the least-squares cubic through equally spaced samples (odd count), from the
-/// even and the odd half of the normal equations.
-pub(super) fn local_cubic(window: &[f64], period_s: f64) -> (f64, f64) {
-    let half = (window.len() / 2) as f64;
-    let (mut s2, mut s4, mut s6) = (0.0, 0.0, 0.0);
-    let (mut y0, mut y1, mut y2, mut y3) = (0.0, 0.0, 0.0, 0.0);
-    for (i, y) in window.iter().enumerate() {
-        let k = i as f64 - half;
-        let k2 = k * k;
-        (s2, s4, s6) = (s2 + k2, s4 + k2 * k2, s6 + k2 * k2 * k2);
-        (y0, y1, y2, y3) = (y0 + y, y1 + k * y, y2 + k2 * y, y3 + k * k2 * y);
+/// The least-squares cubic over an odd number of equally spaced samples, as weights of value and derivative at the middle
+/// (Savitzky and Golay).
+pub(super) struct LocalCubic {
+    value: Vec<f64>,
+    derivative: Vec<f64>,
+}
+
+impl LocalCubic {
+    /// For `window` samples (odd, 5 or more) every `period_s`, from the even and the odd half of the normal equations.
+    pub(super) fn new(window: usize, period_s: f64) -> Self {
+        let half = (window / 2) as f64;
+        let k = || (0..window).map(|i| i as f64 - half);
+        let sum = |power: i32| k().map(|k| k.powi(power)).sum::<f64>();
+        let (s0, s2, s4, s6) = (sum(0), sum(2), sum(4), sum(6));
+        let even = s4 * s0 - s2 * s2;
+        let odd = (s2 * s6 - s4 * s4) * period_s;
+        Self {
+            value: k().map(|k| (s4 - s2 * k * k) / even).collect(),
+            derivative: k().map(|k| (s6 * k - s4 * k * k * k) / odd).collect(),
+        }
     }
-    let value = (s4 * y0 - s2 * y2) / (window.len() as f64 * s4 - s2 * s2);
-    let derivative = (s6 * y1 - s4 * y3) / (s2 * s6 - s4 * s4);
-    (value, derivative / period_s)
+
+    /// Value and derivative at the middle of the samples.
+    pub(super) fn at_middle(&self, samples: &[f64]) -> (f64, f64) {
+        let weigh = |weights: &[f64]| weights.iter().zip(samples).map(|(w, y)| w * y).sum::<f64>();
+        (weigh(&self.value), weigh(&self.derivative))
+    }
 }
 
 /// Position (rad) and speed (rpm) at the samples before the first full window: one cubic through them, negatives set to

@@ -2,7 +2,7 @@
 
 use super::edges::EdgeTrain;
 use super::spline::Spline;
-use super::thesis::local_cubic;
+use super::thesis::LocalCubic;
 use super::{RAD_S_TO_RPM, SignalError};
 
 /// The polynomial fitted in the window. At the middle of a symmetric window a line has the slope of a parabola and a
@@ -39,6 +39,7 @@ pub fn speed_rpm(
     let end = (((events_s[events_s.len() - 1] / period_s).floor() as usize) + 1).clamp(first, samples);
     let grid_s: Vec<f64> = (first..end).map(|i| i as f64 * period_s).collect();
     let position = spline.values(&grid_s);
+    let full = LocalCubic::new(window | 1, period_s);
     let mut rpm = vec![f64::NAN; samples];
     for i in 0..position.len() {
         let half = (window / 2).min(i).min(position.len() - 1 - i);
@@ -46,7 +47,8 @@ pub fn speed_rpm(
             let inside = &position[i - half..=i + half];
             let slope = match order {
                 Order::Line => line_slope(inside) / period_s,
-                Order::Cubic => local_cubic(inside, period_s).1,
+                Order::Cubic if half == window / 2 => full.at_middle(inside).1,
+                Order::Cubic => LocalCubic::new(inside.len(), period_s).at_middle(inside).1,
             };
             rpm[first + i] = slope * RAD_S_TO_RPM;
         }
