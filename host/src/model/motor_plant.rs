@@ -244,14 +244,10 @@ impl Plant for MotorPlant {
             self.began_s = self.time_s();
         }
         let now_s = self.time_s();
-<<<<<<< HEAD
         if until_s - now_s > WORTH_REMEMBERING_S && self.blended(until_s, drive, observe) {
             return;
         }
         let modulation = self.modulation(drive, self.position_rad());
-=======
-        let modulation = self.modulation(drive);
->>>>>>> cbc8626 (Compare: a measurement against the simulation, through one estimator)
         if let (Model::Averaged(model), true) =
             (&mut self.model, self.longest_s.is_infinite() && until_s - now_s > WORTH_REMEMBERING_S)
         {
