@@ -11,7 +11,7 @@ pub mod windows;
 use super::fit::student95;
 use serde::Serialize;
 use setup::{FrictionError, Setup};
-use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use std::path::Path;
 use trials::{Set, Trial, Trials};
 
@@ -339,14 +339,10 @@ fn overall(speeds: Vec<SpeedResult>, variances: &[f64], freedoms: &[f64], relati
     } else {
         f64::NAN
     };
+    // Analysis of variance, the scatter of trials pooled over speeds: five trials alone tell too little of theirs.
     let homogeneous_p = (speeds.len() > 1 && variances.iter().all(|v| *v > 0.0)).then(|| {
-        let weights: f64 = variances.iter().map(|v| 1.0 / v).sum();
-        let mean = values.iter().zip(variances).map(|(x, v)| x / v).sum::<f64>() / weights;
-        let q: f64 = values.iter().zip(variances).map(|(x, v)| (x - mean).powi(2) / v).sum();
-        // The variances are estimates: Welch's correction to the chi-square of the differences.
-        let h: f64 = variances.iter().zip(freedoms).map(|(v, f)| (1.0 - 1.0 / v / weights).powi(2) / f).sum::<f64>();
-        let scale = 1.0 + 2.0 * (k - 2.0) / (k * k - 1.0) * h;
-        ChiSquared::new(k - 1.0).map_or(f64::NAN, |d| 1.0 - d.cdf(q / scale))
+        let pooled = variances.iter().sum::<f64>() / k;
+        FisherSnedecor::new(k - 1.0, freedoms.iter().sum()).map_or(f64::NAN, |d| 1.0 - d.cdf(between * k / pooled))
     });
     // Whichever is wider: scatter of trials, or of speeds.
     let reach_within = student95(within_freedom) * within.sqrt();
