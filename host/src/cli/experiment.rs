@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Options, diagnose};
-use twum_host::link::bench::{Action, Experiment};
+use twum_host::link::bench::{Action, Experiment, perform};
 use twum_host::record::export::{EncoderSource, to_measurement};
 use twum_host::record::measurement::Measurement;
 use twum_host::record::recording::Recording;
@@ -139,6 +139,7 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
     std::fs::create_dir_all(&recordings).with_context(|| format!("making {}", recordings.display()))?;
     let bar = ProgressBar::new(runs.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
+    let mut session = args.connect.session()?;
     let mut whole: Option<Measurement> = None;
     for (number, planned) in runs.iter().enumerate() {
         let id = planned.id(number);
@@ -160,7 +161,7 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
             recording: Some(path.clone()),
             motor: args.configuration.motor.clone(),
         };
-        let outcome = args.connect.perform(&experiment, |_| {}).with_context(|| format!("run {id}"))?;
+        let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
         if outcome.interrupted {
             bar.abandon();
             eprintln!(
