@@ -290,6 +290,21 @@ mod tests {
     }
 
     #[test]
+    fn ticks_that_arrive_behind_the_end_of_their_run_do_not_revive_it() {
+        let mut view = LiveView::new();
+        view.observe(0, &configured(ConfigSpec::THESIS));
+        let mut blocks = control_blocks(ConfigSpec::THESIS, 0, 40);
+        let last = blocks.pop().unwrap();
+        for block in blocks {
+            view.observe(block.first_us, &DeviceMessage::Control(block));
+        }
+        let end = twum_shared::message::RunEnd::Completed;
+        view.observe(400_000, &DeviceMessage::RunEnded { end, end_us: 320_000 });
+        view.observe(401_000, &DeviceMessage::Control(last));
+        assert_eq!((view.target, view.duty), (None, 0.0));
+    }
+
+    #[test]
     fn memory_does_not_grow_with_the_time_watched() {
         let mut view = LiveView::new();
         let block = control_blocks(ConfigSpec::THESIS, 0, 1).remove(0);

@@ -327,8 +327,6 @@ fn any_damage() -> impl Strategy<Value = Damage> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
-
     #[test]
     fn what_is_saved_loads_as_it_was(mut runs in prop::collection::vec(any_run(), 1..5), edges in 1u32..10_000) {
         for (index, run) in runs.iter_mut().enumerate() {

@@ -206,7 +206,7 @@ fn a_damaged_byte_costs_at_most_its_frame() {
     let all = expected(10);
     let mut unreadable = 0;
     for at in 0..intact.len() {
-        for flip in [0x01, 0x03, 0x40, 0xff] {
+        for flip in [0x03, 0xff] {
             let mut bytes = intact.clone();
             bytes[at] ^= flip;
             fs::write(&path, &bytes).unwrap();
