@@ -178,7 +178,8 @@ fn faults_that_tasks_report_stop_a_run_at_the_next_tick() {
 
 #[test]
 fn every_fault_in_every_mode_leaves_the_output_off_and_latched() {
-    let benches: [(&str, fn() -> Bench); 5] = [
+    type Make = fn() -> Bench;
+    let benches: [(&str, Make); 5] = [
         ("idle", || Bench::new(Setup::default())),
         ("configured", || Bench::aligned(default_configuration())),
         ("armed", || Bench::armed(default_configuration())),
