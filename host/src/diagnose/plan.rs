@@ -45,8 +45,8 @@ impl PlannedRun {
 pub fn first_experiment(duties: &[f64], trials: usize, seconds: f64, pwm_hz: f64) -> Vec<PlannedRun> {
     let mut runs = Vec::new();
     let n = duties.len();
-    // Stride through the duties by a number without a common divisor.
-    let stride = (2..n.max(3)).rev().find(|s| divisor(*s, n) == 1 && *s < n.saturating_sub(1)).unwrap_or(1);
+    // A stride of about two fifths, without a common divisor, visits every duty and follows none of its trends.
+    let stride = (1..=(2 * n / 5).max(1)).rev().find(|s| divisor(*s, n) == 1).unwrap_or(1);
     for trial in 0..trials {
         for k in 0..n {
             let duty = duties[(trial + k * stride) % n];
