@@ -396,11 +396,12 @@ fn least_squares(columns: &[Vec<f64>], y: &[f64], damping: f64) -> Vec<f64> {
         a[i][i] += 1e-12;
     }
     for i in 0..n {
-        for j in i + 1..n {
-            let f = a[j][i] / a[i][i];
-            for k in i..=n {
-                let v = a[i][k];
-                a[j][k] -= f * v;
+        let (above, below) = a.split_at_mut(i + 1);
+        let pivot = &above[i];
+        for row in below {
+            let f = row[i] / pivot[i];
+            for (value, p) in row.iter_mut().zip(pivot).skip(i) {
+                *value -= f * p;
             }
         }
     }

@@ -51,7 +51,7 @@ pub fn refitted(motor: &Motor, flavour: Flavour, rotor: &Rotor) -> Motor {
     let mut p =
         Parameters { friction, rotational_damping_nms: rotor.get(P::Viscous) * before.rotor_inertia_kg_m2, ..before };
     for _ in 0..12 {
-        let speed = free_speed(p.clone(), flavour);
+        let speed = free_speed(p, flavour);
         if !(speed.is_finite() && speed > 0.0) || (speed / wanted - 1.0).abs() < 1e-4 {
             break;
         }

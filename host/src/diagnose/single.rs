@@ -262,10 +262,10 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
         for t in 0..TAUS.len() {
             let c = settle_at + t;
             let (mut xx, mut xy) = (0.0, 0.0);
-            for k in 0..rest.len() {
+            for (k, left) in rest.iter().enumerate() {
                 let x = parts[0].x[k * width + c];
                 xx += x * x;
-                xy += x * rest[k];
+                xy += x * left;
             }
             let amplitude = if xx > 0.0 { xy / xx } else { 0.0 };
             let after = before - amplitude * xy;
@@ -285,10 +285,10 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
             .map(|from| {
                 let to = (from + block / 2).min(rest.len());
                 let mut pair = [0.0; 2];
-                for k in from..to {
+                for (k, left) in rest.iter().enumerate().take(to).skip(from) {
                     let x = parts[0].x[k * width + settle_at + t];
-                    pair[0] += rest[k] * rest[k];
-                    pair[1] += (rest[k] - amplitude * x).powi(2);
+                    pair[0] += left * left;
+                    pair[1] += (left - amplitude * x).powi(2);
                 }
                 pair
             })

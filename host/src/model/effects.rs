@@ -1,6 +1,6 @@
 //! Effects a measurement can hide: each one small type, with parameters, units, bounds and the value at which it is absent.
 //!
-//! An effect acts where it lives: in the plant (through [`Modulation`]), on the way from the duty to the plant
+//! An effect acts where it lives: in the plant (through [`super::modulation::Modulation`]), on the way from the duty to the plant
 //! ([`super::actuator`]), in the encoder and its clock ([`super::sensor`]), or in the controller ([`super::closed_loop`]).
 //! [`EffectSet`] holds any combination of them without allocation; [`CATALOGUE`] lists them for whoever searches.
 
