@@ -24,7 +24,7 @@ pub struct Args {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Read Duty_<d>_<n>.txt files where there is no measurement.toml; they do not say in which direction the motor turned
+    /// Read `Duty_<d>_<n>.txt` files where there is no measurement.toml; they do not say in which direction the motor turned
     #[arg(long, value_enum)]
     direction: Option<DirectionArg>,
     /// Write the measurement into this new folder
