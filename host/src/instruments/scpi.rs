@@ -10,7 +10,11 @@ const ANSWER: Duration = Duration::from_secs(5);
 /// Port on which Rigol instruments listen for raw SCPI.
 pub const RIGOL_PORT: u16 = 5555;
 /// Largest block accepted (bytes).
-const LARGEST_BLOCK: usize = 64 << 20;
+pub const LARGEST_BLOCK: usize = 64 << 20;
+/// Most bytes kept of an answer that does not end: a block with its header, and one read more.
+const LARGEST_ANSWER: usize = LARGEST_BLOCK + READ;
+/// Bytes asked for at a time.
+const READ: usize = 4096;
 
 /// What went wrong with an instrument.
 #[derive(Debug, thiserror::Error)]
@@ -45,6 +49,57 @@ pub enum InstrumentError {
         /// What was expected, and what to do.
         expected: String,
     },
+}
+
+/// A definite-length block at the front of what was received.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Block<'a> {
+    /// The block's bytes, header removed.
+    pub data: &'a [u8],
+    /// What was received after it.
+    pub rest: &'a [u8],
+}
+
+/// The bytes received are no definite-length block.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{found}`: {expected}")]
+pub struct NotABlock {
+    /// The first bytes of what came.
+    pub found: String,
+    /// What was expected in their place.
+    pub expected: &'static str,
+}
+
+/// Takes the definite-length block (`#<digits><length><bytes>`, IEEE 488.2 section 8.7.9) off the front of `received`,
+/// white space before it skipped; `None` while more bytes are needed. Borrows everything, keeps nothing.
+///
+/// # Errors
+/// [`NotABlock`] as soon as the bytes cannot become a block of at most [`LARGEST_BLOCK`] bytes.
+pub fn take_block(received: &[u8]) -> Result<Option<Block<'_>>, NotABlock> {
+    let wrong = |found: &[u8], expected| NotABlock {
+        found: String::from_utf8_lossy(&found[..found.len().min(40)]).into_owned(),
+        expected,
+    };
+    let received = received.trim_ascii_start();
+    let Some((&mark, after_mark)) = received.split_first() else { return Ok(None) };
+    if mark != b'#' {
+        return Err(wrong(received, "expected a block, `#<digits><length>...`"));
+    }
+    let Some((&count, after_count)) = after_mark.split_first() else { return Ok(None) };
+    if !(b'1'..=b'9').contains(&count) {
+        return Err(wrong(received, "expected a block, `#<digits><length>...`"));
+    }
+    let digits = &after_count[..after_count.len().min(usize::from(count - b'0'))];
+    if !digits.iter().all(u8::is_ascii_digit) {
+        return Err(wrong(digits, "expected the length of a block"));
+    }
+    let Some((digits, body)) = after_count.split_at_checked(usize::from(count - b'0')) else { return Ok(None) };
+    // Nine decimal digits fit 32 bits.
+    let length = digits.iter().fold(0, |length, digit| length * 10 + usize::from(digit - b'0'));
+    if length > LARGEST_BLOCK {
+        return Err(wrong(digits, "expected a block of at most 64 MiB"));
+    }
+    Ok(body.split_at_checked(length).map(|(data, rest)| Block { data, rest }))
 }
 
 enum Line {
@@ -129,9 +184,8 @@ impl Scpi {
         let deadline = Instant::now() + ANSWER;
         loop {
             // A block's own line end may still be on its way: empty lines are none of ours.
-            while self.pending.first().is_some_and(u8::is_ascii_whitespace) {
-                self.pending.remove(0);
-            }
+            let blank = self.pending.len() - self.pending.trim_ascii_start().len();
+            self.pending.drain(..blank);
             let end = self.pending.iter().position(|b| *b == b'\n');
             if let Some(end) = end {
                 let rest = self.pending.split_off(end);
@@ -169,30 +223,16 @@ impl Scpi {
         self.send(command)?;
         let deadline = Instant::now() + ANSWER;
         loop {
-            while self.pending.first().is_some_and(u8::is_ascii_whitespace) {
-                self.pending.remove(0);
-            }
-            if self.pending.len() >= 2 {
-                let digits = usize::from(self.pending[1].wrapping_sub(b'0'));
-                if self.pending[0] != b'#' || !(1..=9).contains(&digits) {
-                    let shown = String::from_utf8_lossy(&self.pending[..self.pending.len().min(40)]).into_owned();
-                    return Err(self.unexpected(command, &shown, "expected a block, `#<digits><length>...`"));
+            let taken = take_block(&self.pending)
+                .map(|block| block.map(|Block { data, rest }| (data.to_vec(), self.pending.len() - rest.len())));
+            match taken {
+                Ok(Some((data, used))) => {
+                    self.pending.drain(..used);
+                    return Ok(data);
                 }
-                if self.pending.len() >= 2 + digits {
-                    let header = String::from_utf8_lossy(&self.pending[2..2 + digits]).into_owned();
-                    let length = header
-                        .parse::<usize>()
-                        .ok()
-                        .filter(|l| *l <= LARGEST_BLOCK)
-                        .ok_or_else(|| self.unexpected(command, &header, "expected the length of a block"))?;
-                    if self.pending.len() >= 2 + digits + length {
-                        let block = self.pending[2 + digits..2 + digits + length].to_vec();
-                        self.pending.drain(..2 + digits + length);
-                        return Ok(block);
-                    }
-                }
-            }
-            self.receive(command, deadline)?;
+                Ok(None) => self.receive(command, deadline)?,
+                Err(NotABlock { found, expected }) => return Err(self.unexpected(command, &found, expected)),
+            };
         }
     }
 
@@ -222,9 +262,15 @@ impl Scpi {
 
     /// Reads what is there into `pending`; true when the line delimits messages and one ended.
     fn receive(&mut self, command: &str, deadline: Instant) -> Result<bool, InstrumentError> {
-        let mut buffer = [0; 4096];
+        let mut buffer = [0; READ];
         if Instant::now() > deadline {
             return Err(self.broken(command, std::io::Error::new(ErrorKind::TimedOut, "no complete answer within 5 s")));
+        }
+        if self.pending.len() > LARGEST_ANSWER {
+            let cause =
+                std::io::Error::new(ErrorKind::InvalidData, "an answer of more than 64 MiB: is this an instrument?");
+            self.pending = Vec::new();
+            return Err(self.broken(command, cause));
         }
         let (got, framed) = match &mut self.line {
             Line::Tcp(stream) => (stream.read(&mut buffer), false),
@@ -256,5 +302,36 @@ impl Scpi {
             answer: answer.to_owned(),
             expected: expected.into(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_is_taken_once_whole_and_leaves_the_rest() {
+        let stream = b"\n #3004a\nb#\n1.0\n";
+        for cut in 0..11 {
+            assert_eq!(take_block(&stream[..cut]), Ok(None), "{cut} bytes");
+        }
+        assert_eq!(take_block(&stream[..11]), Ok(Some(Block { data: b"a\nb#", rest: b"" })));
+        assert_eq!(take_block(stream), Ok(Some(Block { data: b"a\nb#", rest: b"\n1.0\n" })));
+        assert_eq!(take_block(b"#10"), Ok(Some(Block { data: b"", rest: b"" })));
+    }
+
+    #[test]
+    fn what_cannot_become_a_block_is_refused_at_its_first_wrong_byte() {
+        for (bytes, found) in [
+            (&b"1.0\n"[..], "1.0\n"),
+            (b"#0abc", "#0abc"),
+            (b"#A", "#A"),
+            (b"#3+", "+"),
+            (b"#4 12", " 12"),
+            (b"#9067108865", "067108865"),
+        ] {
+            assert_eq!(take_block(bytes).unwrap_err().found, found);
+        }
+        assert_eq!(take_block(b"#9067108864"), Ok(None), "the largest block is awaited");
     }
 }
