@@ -4,29 +4,41 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::compare::controller::{ControllerCheck, Kind, check};
+use twum_host::compare::closed_loop::{self, ClosedLoop};
 use twum_host::compare::simulation::{Comparison, compare};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
+use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, RunKind};
+use twum_host::report::figure::Figure;
 
 /// Arguments of `twum compare`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-Closed-loop runs are held against the fixed-point controller, tick by tick: the first tick that differs is named, and what
-kind of difference it is. Open-loop runs are held against the simulated motor: mean speeds against duty, speed, angle, start
-and stop of every run. A recording is checked bit for bit by `twum replay`.
+Open-loop runs are held against the simulated motor: mean speeds against duty, speed, angle, start and stop of every run.
+Closed-loop runs are taken apart, before anything is fitted:
+  controller  the control signal recomputed from target and position by the fixed-point controller; the first tick that
+              differs is named, and what kind of difference it is
+  actuator    recorded duty and direction against those the recorded control signal asks for
+  plant       the simulated motor under the recorded duty and direction against the recorded position
+  sensor      the encoder's counts against the direction pin
+A recording is checked bit for bit by `twum replay`.
 
 Examples:
   twum compare bench3
   twum compare bench3 --flavour thesis --plot compare.svg
+  twum compare bench3 --run d50-cw-0 --plot d50.png
+  twum compare sine.mcap
   twum compare bench3 --json
   twum compare bench3 --max-rmse-rpm 1.5        exit code 1 when the speeds differ by more
 
 Exit code 0: compared. 1: a controller differs, or the speeds by more than allowed. 2: nothing to compare.")]
 pub struct Args {
-    /// Measurement folder
+    /// Measurement folder (or its measurement.toml), or a recording
     folder: PathBuf,
+    /// Only the run with this id
+    #[arg(long, value_name = "ID")]
+    run: Option<String>,
     /// Motor parameter set or file, instead of the measurement's own
     #[arg(long, value_name = "MOTOR")]
     motor: Option<String>,
@@ -36,7 +48,7 @@ pub struct Args {
     /// Allow this much RMSE of the speed
     #[arg(long, value_name = "RPM")]
     max_rmse_rpm: Option<f64>,
-    /// Draw measured and simulated speeds to this file, .svg or .png
+    /// Draw measured and simulated speeds, or positions of a closed loop, to this file, .svg or .png
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Print JSON
@@ -56,48 +68,46 @@ enum FlavourArg {
 #[derive(Debug, Serialize)]
 struct Found {
     simulation: Option<Comparison>,
-    controllers: Vec<Controller>,
-}
-
-#[derive(Debug, Serialize)]
-struct Controller {
-    run: String,
-    #[serde(flatten)]
-    check: ControllerCheck,
+    closed_loops: Vec<ClosedLoop>,
 }
 
 /// Runs `twum compare`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    let measurement = Measurement::load(&args.folder)?;
-    let found = Found { simulation: simulated(&args, &measurement)?, controllers: controllers(&measurement)? };
-    if found.simulation.is_none() && found.controllers.is_empty() {
+    let (mut measurement, notes) = load_runs(&args.folder)?;
+    for note in notes {
+        eprintln!("note: {note}");
+    }
+    if let Some(id) = &args.run {
+        let ids: Vec<String> = measurement.runs.iter().map(|run| run.id.clone()).collect();
+        measurement.runs.retain(|run| run.id == *id);
+        if measurement.runs.is_empty() {
+            bail!("{} has no run {id}; it has: {}", args.folder.display(), ids.join(", "));
+        }
+    }
+    let found = compared(&args, &measurement)?;
+    if found.simulation.is_none() && found.closed_loops.is_empty() {
         bail!(
-            "{}: nothing to compare: it takes an open-loop run with a duty, or a closed-loop run with its control",
+            "{}: nothing to compare: it takes an open-loop run with a duty, or a closed-loop run of control ticks",
             args.folder.display()
         );
     }
     if let Some(path) = &args.plot {
-        let Some(comparison) = &found.simulation else { bail!("--plot: no open-loop run with a duty to draw") };
-        comparison.figure(&measurement.name).write(path)?;
+        figure(&found, &measurement.name)?.write(path)?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&found)?);
     } else {
         print(&found);
     }
-    let differs = found.controllers.iter().any(|c| c.check.mismatched > 0);
+    let differs = |run: &ClosedLoop| run.controller.as_ref().is_some_and(|check| check.mismatched > 0);
     let too_far = match (&found.simulation, args.max_rmse_rpm) {
         (Some(comparison), Some(most)) => comparison.rmse_speed_rpm > most,
         _ => false,
     };
-    Ok(if differs || too_far { ExitCode::from(1) } else { ExitCode::SUCCESS })
+    Ok(if found.closed_loops.iter().any(differs) || too_far { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
-fn simulated(args: &Args, measurement: &Measurement) -> Result<Option<Comparison>> {
-    let open_loop = |run: &&twum_host::record::measurement::Run| run.kind == RunKind::Speed && run.duty.is_some();
-    if measurement.runs.iter().find(open_loop).is_none() {
-        return Ok(None);
-    }
+fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
     let motor = match (&args.motor, measurement.motor_file()) {
         (Some(named), _) => Motor::load(named)?,
         (None, Some(file)) => Motor::load(&file.to_string_lossy())?,
@@ -107,61 +117,35 @@ fn simulated(args: &Args, measurement: &Measurement) -> Result<Option<Comparison
         FlavourArg::Thesis => Flavour::Thesis,
         FlavourArg::Physical => Flavour::Physical,
     };
-    Ok(Some(compare(measurement, &motor, flavour)?))
+    let is_open_loop = |run: &&twum_host::record::measurement::Run| run.kind == RunKind::Speed && run.duty.is_some();
+    let simulation = match measurement.runs.iter().find(is_open_loop) {
+        Some(_) => Some(compare(measurement, &motor, flavour)?),
+        None => None,
+    };
+    let closed_loops = measurement
+        .runs
+        .iter()
+        .filter(|run| run.kind == RunKind::Track)
+        .map(|run| closed_loop::compare(run, measurement.edges_per_rev, &motor, flavour))
+        .collect::<Result<Vec<_>, _>>()
+        .with_context(|| measurement.folder.display().to_string())?;
+    Ok(Found { simulation, closed_loops })
 }
 
-fn controllers(measurement: &Measurement) -> Result<Vec<Controller>> {
-    let mut checks = Vec::new();
-    for run in measurement.runs.iter().filter(|run| run.kind == RunKind::Track) {
-        let check = check(run).with_context(|| measurement.folder.display().to_string())?;
-        checks.push(Controller { run: run.id.clone(), check });
+/// The open-loop runs where there are some, otherwise the closed loops.
+fn figure(found: &Found, name: &str) -> Result<Figure> {
+    if let Some(comparison) = &found.simulation {
+        return Ok(comparison.figure(name)?);
     }
-    Ok(checks)
+    let panels = found.closed_loops.iter().flat_map(ClosedLoop::panels);
+    Ok(panels.fold(Figure::new(name), Figure::panel))
 }
 
 fn print(found: &Found) {
     if let Some(comparison) = &found.simulation {
         println!("Open loop, against the simulation\n{comparison}");
     }
-    for Controller { run, check } in &found.controllers {
-        println!("Closed loop, run {run}: {} ticks recomputed, {} differ", check.ticks, check.mismatched);
-        if let Some(first) = &check.first {
-            println!(
-                "  first at row {} ({:.0} us): u is {:.4}, the controller gives {:.4} duty steps",
-                first.row, first.time_us, first.recorded_u, first.expected_u
-            );
-        }
-        if let Some(kind) = &check.kind {
-            println!("  likely: {}", in_words(kind));
-        }
-        let p = &check.parity;
-        println!(
-            "  controller {:.4} duty steps RMS; duty {:.5} RMS; wrong direction {:.2} %; counts against direction {:.2} %; \
-             largest step {:.0} counts",
-            p.controller_rms_steps,
-            p.actuator_duty_rms,
-            100.0 * p.actuator_wrong_direction,
-            100.0 * p.sensor_against_direction,
-            p.sensor_largest_jump
-        );
-    }
-}
-
-fn in_words(kind: &Kind) -> String {
-    match kind {
-        Kind::Gain { kp, ki, kd } => {
-            let named = [("kp", kp), ("ki", ki), ("kd", kd)];
-            let found: Vec<String> =
-                named.iter().filter_map(|(name, value)| value.map(|value| format!("{name} = {value:.6}"))).collect();
-            format!("other gains: {}", found.join(", "))
-        }
-        Kind::ClampSignal { limit } => format!("the control signal is cut off at ±{limit} duty steps"),
-        Kind::ClampIntegral { min, max } => format!("the integral is kept between {min} and {max} count·s"),
-        Kind::Delay { ticks } => format!("the control signal comes {ticks} ticks late"),
-        Kind::LostSample { time_us, shown_by_time } => {
-            let shown = if *shown_by_time { "the times show the hole" } else { "the times do not show it" };
-            format!("a sample lost or changed before {time_us:.0} us ({shown})")
-        }
-        Kind::Unknown => "neither gain, clamp, delay nor lost samples".to_owned(),
+    for run in &found.closed_loops {
+        println!("Closed loop, run {}\n{run}", run.run);
     }
 }

@@ -5,7 +5,8 @@ use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use twum_host::record::measurement::{MANIFEST, Measurement, Run};
+use twum_host::record::load::load_runs;
+use twum_host::record::measurement::{Measurement, Run};
 use twum_host::report::speed::{Simulated, figure, findings, overview};
 use twum_host::signal::run::{EncoderErrors, Method, Motion, Options, Step, motion, thesis_steps};
 use twum_host::signal::score::score;
@@ -18,6 +19,7 @@ use twum_host::signal::window::Order;
 #[command(after_help = "\
 Examples:
   twum velocity bench3                              mean speed, drift and ripple of every run
+  twum velocity speed.mcap                          ... of the runs of a recording
   twum velocity bench3 --run d50-cw-0 --plot d50.svg --simulated-rpm 34.8
                                                     speed against time, angle and orders of a turn
   twum velocity bench3 --csv -                      position and speed at every sample, on stdout
@@ -28,7 +30,7 @@ Examples:
 
 The methods are compared in docs/signals.md.")]
 pub struct Args {
-    /// Measurement folder (or its measurement.toml)
+    /// Measurement folder (or its measurement.toml), or a recording
     #[arg(required_unless_present = "trials")]
     folder: Option<PathBuf>,
     /// Only the run with this id
@@ -106,7 +108,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let folder = args.folder.as_deref().expect("clap requires the folder without --trials");
-    let measurement = load(folder)?;
+    let (measurement, notes) = load_runs(folder)?;
+    for note in notes {
+        eprintln!("note: {note}");
+    }
     let runs = chosen(&measurement, args.run.as_deref())?;
     let options = Options {
         method: args.method.method(args.window),
@@ -133,24 +138,6 @@ pub fn run(args: Args) -> Result<ExitCode> {
         None => print_summaries(&summaries),
     }
     Ok(ExitCode::SUCCESS)
-}
-
-fn load(path: &Path) -> Result<Measurement> {
-    let named = path.file_name().is_some_and(|name| name == MANIFEST);
-    let folder = match path.parent() {
-        Some(parent) if named => {
-            if parent.as_os_str().is_empty() {
-                Path::new(".")
-            } else {
-                parent
-            }
-        }
-        _ => path,
-    };
-    if folder.is_file() {
-        bail!("{}: give a measurement folder (a recording becomes one by `twum export`)", path.display());
-    }
-    Ok(Measurement::load(folder)?)
 }
 
 fn chosen<'a>(measurement: &'a Measurement, id: Option<&str>) -> Result<Vec<&'a Run>> {

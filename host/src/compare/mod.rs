@@ -1,5 +1,6 @@
 //! A measurement against the fixed-point model and the simulation.
 
+pub mod closed_loop;
 pub mod controller;
 pub mod replay;
 pub mod simulation;

@@ -13,6 +13,7 @@ use crate::model::simulate::{PlantModel, Program, simulate};
 use crate::record::convert::to_levels;
 use crate::record::measurement::{Direction, LevelEdge, Measurement, Run, RunData, RunKind};
 use crate::report::figure::{Figure, Panel};
+use crate::report::speed::{self, Simulated};
 use crate::signal::SignalError;
 use crate::signal::run::{Method, Motion, Options, motion};
 use serde::Serialize;
@@ -32,12 +33,12 @@ pub enum ComparisonError {
     #[error("{0} has no open-loop run with a duty and a speed: the simulation needs `kind = \"speed\"` and `duty`")]
     NoRuns(String),
     /// A run that cannot be read as a speed.
-    #[error("run `{run}`: {source}")]
+    #[error("run `{run}`: {reason}")]
     Signal {
         /// The run.
         run: String,
         /// Why.
-        source: SignalError,
+        reason: SignalError,
     },
 }
 
@@ -73,9 +74,12 @@ pub struct RunComparison {
     pub measured: Transient,
     /// What was simulated.
     pub simulated: Transient,
-    /// The speeds compared, for pictures: time in s, measured and simulated rpm.
+    /// The measured motion, for pictures.
     #[serde(skip)]
-    pub speed: Vec<(f64, f64, f64)>,
+    pub motion: Motion,
+    /// The simulated speed at its times, rpm.
+    #[serde(skip)]
+    pub simulated_rpm: Vec<f64>,
 }
 
 /// How a run starts, settles and stops. Speeds are positive in the commanded direction.
@@ -104,7 +108,7 @@ pub fn compare(measurement: &Measurement, motor: &Motor, flavour: Flavour) -> Re
         match run.duty.filter(|_| run.kind == RunKind::Speed && !matches!(run.data, RunData::Drive { .. })) {
             Some(duty) => runs.push(
                 compare_run(run, duty, measurement.edges_per_rev, &model)
-                    .map_err(|source| ComparisonError::Signal { run: run.id.clone(), source })?,
+                    .map_err(|reason| ComparisonError::Signal { run: run.id.clone(), reason })?,
             ),
             None => left_out.push(run.id.clone()),
         }
@@ -145,7 +149,8 @@ fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &PlantModel) -> 
         rmse_position_deg: rms(&|i| turned(&measured.position_rad, i) - turned(&simulated_rad, i)),
         measured: transient(&times_s, &forwards(&measured.speed_rpm), drive_on_s),
         simulated: transient(&times_s, &forwards(&simulated_rpm), drive_on_s),
-        speed: (0..n).map(|i| (times_s[i], measured.speed_rpm[i], simulated_rpm[i])).collect(),
+        motion: measured,
+        simulated_rpm,
     })
 }
 
@@ -269,8 +274,21 @@ impl std::fmt::Display for Comparison {
 }
 
 impl Comparison {
-    /// Speeds against time, their difference, and mean speeds against duty.
-    pub fn figure(&self, title: &str) -> Figure {
+    /// Of several runs, speeds against time, their difference, and mean speeds against duty; of one, what
+    /// [`speed::figure`] shows of it with the simulation beside it.
+    ///
+    /// # Errors
+    /// As [`speed::figure`].
+    pub fn figure(&self, title: &str) -> Result<Figure, SignalError> {
+        if let [run] = self.runs.as_slice() {
+            let times_s = run.motion.time_us.iter().map(|t| t * 1e-6);
+            let simulated = Simulated { speed: times_s.zip(run.simulated_rpm.iter().copied()).collect() };
+            return speed::figure(&format!("{title}, run {}", run.id), &run.motion, Some(&simulated));
+        }
+        Ok(self.overview(title))
+    }
+
+    fn overview(&self, title: &str) -> Figure {
         /// More names than this make a legend nobody reads.
         const MOST_NAMED: usize = 6;
         let mut speeds = Panel::new("time (s)", "speed (rpm)").title("Measured and simulated");
@@ -278,11 +296,15 @@ impl Comparison {
         for run in &self.runs {
             let named = self.runs.len() <= MOST_NAMED;
             let name = |what: &str| if named { format!("{} {what}", run.id) } else { what.to_owned() };
-            let column = |f: &dyn Fn(&(f64, f64, f64)) -> f64| -> Vec<(f64, f64)> {
-                run.speed.iter().map(|p| (p.0, f(p))).collect()
+            let (measured, simulated) = (&run.motion.speed_rpm, &run.simulated_rpm);
+            let column = |f: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
+                run.motion.time_us.iter().enumerate().map(|(i, t)| (t * 1e-6, f(i))).collect()
             };
-            speeds = speeds.line(name("measured"), &column(&|p| p.1)).dashed(name("simulated"), &column(&|p| p.2));
-            differences = differences.line(if named { run.id.as_str() } else { "" }, &column(&|p| p.1 - p.2));
+            speeds = speeds
+                .line(name("measured"), &column(&|i| measured[i]))
+                .dashed(name("simulated"), &column(&|i| simulated[i]));
+            differences =
+                differences.line(if named { run.id.as_str() } else { "" }, &column(&|i| measured[i] - simulated[i]));
         }
         let of = |f: &dyn Fn(&RunComparison) -> f64| -> Vec<(f64, f64)> {
             self.runs.iter().map(|r| (100.0 * r.duty, f(r))).collect()
@@ -290,6 +312,7 @@ impl Comparison {
         let r2 = self.r2_speed.map_or(String::new(), |v| format!(" (R\u{b2} {v:.3})"));
         let duty = Panel::new("duty (%)", "mean speed (rpm)")
             .title(format!("Speed against duty{r2}"))
+            .x_range(0.0, 100.0)
             .points("measured", &of(&|r| r.measured.mean_rpm))
             .points("simulated", &of(&|r| r.simulated.mean_rpm));
         Figure::new(title).size(1000, 960).panel(speeds).panel(differences).panel(duty)
@@ -350,7 +373,7 @@ mod tests {
         let ratio = full.simulated.settled_rpm / full.measured.settled_rpm;
         assert!((ratio - 1.1).abs() < 0.02, "{ratio}: {found}");
         assert!(found.to_string().contains("needs three duties"));
-        found.figure("Model").svg().unwrap();
+        found.figure("Model").unwrap().svg().unwrap();
     }
 
     #[test]

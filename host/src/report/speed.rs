@@ -38,6 +38,11 @@ impl Simulated {
         let at = |i: u32| from_s + (to_s - from_s) * f64::from(i) / f64::from(POINTS);
         Self { speed: (0..=POINTS).map(|i| (at(i), rpm)).collect() }
     }
+
+    fn motion(&self) -> Motion {
+        let (time_us, rpm): (Vec<f64>, Vec<f64>) = self.speed.iter().map(|(s, rpm)| (s * 1e6, *rpm)).unzip();
+        Motion::of_speeds(&time_us, &rpm)
+    }
 }
 
 /// Reads the findings off a motion.
@@ -56,8 +61,44 @@ fn settled(motion: &Motion) -> usize {
     motion.time_us.partition_point(|t| *t < begins + START_S * 1e6)
 }
 
+/// What a measured speed has and a simulated one lacks, in words; empty when there is nothing of note (3 % of the mean
+/// speed).
+pub fn lacking(measured: &Findings, simulated: &Findings) -> Vec<String> {
+    const OF_NOTE: f64 = 0.03;
+    let Some(fit) = &measured.fit else { return Vec::new() };
+    let mean = fit.mean_rpm.abs();
+    let overshoot = |found: &Findings| {
+        let over =
+            found.start_peak.zip(found.fit.as_ref()).map(|((peak, _), fit)| peak.abs() / fit.mean_rpm.abs() - 1.0);
+        over.filter(|over| over.is_finite()).unwrap_or(0.0)
+    };
+    let mut lacks = Vec::new();
+    let over = overshoot(measured);
+    if over - overshoot(simulated) > 2.0 * OF_NOTE {
+        lacks.push(format!("a start that overshoots by {:.0} %", 100.0 * over));
+    }
+    let (how_often, ripple) = strongest_order(fit);
+    let in_simulation = simulated.fit.as_ref().map_or(0.0, |fit| fit.amplitude_rpm.iter().copied().fold(0.0, f64::max));
+    if ripple - in_simulation > OF_NOTE * mean {
+        let share = 100.0 * ripple / mean;
+        lacks.push(format!("\u{b1}{} rpm ({share:.0} %) {how_often} a turn", number(ripple, 1)));
+    }
+    let drift = fit.drift_rpm_per_s;
+    let simulated_drift = simulated.fit.as_ref().map_or(0.0, |fit| fit.drift_rpm_per_s);
+    if (drift - simulated_drift).abs() * fit.turns / mean * 60.0 > OF_NOTE * mean {
+        lacks.push(format!("a drift of {} rpm/s", number(drift, 2)));
+    }
+    lacks
+}
+
+fn strongest_order(fit: &TurnFit) -> (&'static str, f64) {
+    let strongest =
+        (0..fit.amplitude_rpm.len()).fold(0, |a, b| if fit.amplitude_rpm[b] > fit.amplitude_rpm[a] { b } else { a });
+    (["once", "twice", "three times", "four times"][strongest], fit.amplitude_rpm[strongest])
+}
+
 /// Draws speed against time, against the angle in the turn, and its orders, with a simulation beside it if there is
-/// one. The headings say in numbers what the panels show.
+/// one. The headings say in numbers what the panels show, the title what the simulation lacks.
 ///
 /// # Errors
 /// Only of the spectrum when the motion holds more than a turn and still cannot be transformed.
@@ -76,6 +117,11 @@ pub fn figure(title: &str, motion: &Motion, simulated: Option<&Simulated>) -> Re
         over_time = over_time.dashed("simulated", &simulated.speed);
     }
     let Some(fit) = &found.fit else { return Ok(Figure::new(title).panel(over_time)) };
+    let lacks = simulated.map_or(Vec::new(), |simulated| lacking(&found, &findings(&simulated.motion())));
+    let title = match lacks.as_slice() {
+        [] => title.to_owned(),
+        lacks => format!("{title}. The simulation lacks: {}", lacks.join("; ")),
+    };
     let trend: Vec<(f64, f64)> = [settled(motion), seconds.len() - 1]
         .map(|i| (seconds[i], fit.mean_rpm + fit.drift_rpm_per_s * (seconds[i] - fit.middle_s)))
         .to_vec();
@@ -155,16 +201,17 @@ pub fn overview(title: &str, runs: &[(&Run, &Motion)], simulated_rpm: Option<f64
         }
         over_time = over_time.line(label, &line);
     }
-    let mut over_duty =
-        Panel::new("duty (%)", "mean speed (rpm)").title("Against duty").points("mean of a run", &means);
+    let mut over_duty = Panel::new("duty (%)", "mean speed (rpm)")
+        .title("Against duty")
+        .x_range(0.0, 100.0)
+        .points("mean of a run", &means);
     if let Some(rpm) = simulated_rpm {
         let ends = |values: &mut dyn Iterator<Item = f64>| {
             values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)))
         };
         let time = ends(&mut runs.iter().flat_map(|(_, m)| m.time_us.iter().map(|t| t * 1e-6)));
-        let duty = ends(&mut means.iter().map(|m| m.0));
         over_time = over_time.dashed("simulated", &[(time.0, rpm), (time.1, rpm)]);
-        over_duty = over_duty.dashed("simulated", &[(duty.0, rpm), (duty.1, rpm)]);
+        over_duty = over_duty.dashed("simulated", &[(0.0, rpm), (100.0, rpm)]);
     }
     let figure = Figure::new(title).size(1000, 420).panel(over_time);
     if means.is_empty() { figure } else { figure.size(1000, 760).panel(over_duty) }
@@ -186,13 +233,11 @@ fn angle_panel(motion: &Motion, fit: &TurnFit, simulated: Option<&Simulated>) ->
         let line = &mut turns[turn];
         push_around(line, point);
     }
-    let strongest =
-        (0..fit.amplitude_rpm.len()).fold(0, |a, b| if fit.amplitude_rpm[b] > fit.amplitude_rpm[a] { b } else { a });
-    let how_often = ["once", "twice", "three times", "four times"][strongest];
-    let share = 100.0 * fit.amplitude_rpm[strongest] / fit.mean_rpm.abs();
+    let (how_often, ripple) = strongest_order(fit);
+    let share = 100.0 * ripple / fit.mean_rpm.abs();
     let heading = format!(
         "Against angle, trend taken off: varies most {how_often} a turn, by \u{b1}{} rpm ({share:.0} %)",
-        number(fit.amplitude_rpm[strongest], 1)
+        number(ripple, 1)
     );
     let mut panel = Panel::new("angle in the turn (\u{b0})", "speed (rpm)").title(heading).x_range(0.0, 360.0);
     for (i, turn) in turns.iter().enumerate() {
@@ -276,11 +321,16 @@ mod tests {
         let found = findings(&motion);
         let fit = found.fit.unwrap();
         assert!((fit.drift_rpm_per_s + 1.0).abs() < 0.02 && (fit.amplitude_rpm[1] - 5.0).abs() < 0.05);
-        let simulated = Simulated { speed: vec![(0.0, 34.8), (4.0, 34.8)] };
+        let simulated = Simulated::constant(34.8, 0.0, 4.0);
         let svg = figure("Speed", &motion, Some(&simulated)).unwrap().svg().unwrap();
         assert!(svg.contains("overshoots to 5"), "{svg}");
         assert!(svg.contains("trend \u{2212}1.00 rpm/s"));
         assert!(svg.contains("varies most twice a turn, by \u{b1}5.0 rpm (15 %)"));
+        let lacks = lacking(&findings(&motion), &findings(&simulated.motion()));
+        assert!(lacks[0].starts_with("a start that overshoots by 6") && lacks.len() == 3, "{lacks:?}");
+        assert_eq!(lacks[1..], ["\u{b1}5.0 rpm (15 %) twice a turn", "a drift of \u{2212}1.00 rpm/s"]);
+        assert!(svg.contains(&format!("The simulation lacks: {}", lacks.join("; "))), "{svg}");
+        assert_eq!(lacking(&findings(&motion), &findings(&motion)), Vec::<String>::new());
     }
 
     #[test]

@@ -73,9 +73,25 @@ pub struct EdgeTrain {
     pub pitch_rad: f64,
     /// The crossings in order of time.
     pub edges: Vec<Edge>,
+    /// The rotor is known to have stood still until this time (the drive went on), in µs; `None` where nothing is known.
+    pub rest_until_us: Option<f64>,
 }
 
 impl EdgeTrain {
+    /// States that the rotor stood still until the drive went on at `time_us`. A record that shows an edge before that time,
+    /// or begins after it, says otherwise, and is left as it was.
+    #[must_use]
+    pub fn at_rest_until(mut self, time_us: f64) -> Self {
+        let turned = self.edges.first().is_some_and(|edge| edge.before_us <= time_us);
+        if !turned && self.start_us <= time_us && time_us < self.end_us {
+            self.rest_until_us = Some(time_us);
+            if let Some(first) = self.edges.first_mut() {
+                first.after_us = first.after_us.max(time_us);
+            }
+        }
+        self
+    }
+
     /// Edges of a line sampled every `period_us` from `start_us`: each lies between the last sample before it and the
     /// first after it. At most one edge a sample can be seen: above `60e6 / (period_us * edges_per_rev)` rpm (150 rpm at
     /// 1 kHz and 400 edges) edges are lost without a trace.
@@ -157,6 +173,7 @@ impl EdgeTrain {
             end_us: end(counts.last()),
             pitch_rad: std::f64::consts::TAU / f64::from(edges_per_rev),
             edges,
+            rest_until_us: None,
         })
     }
 
@@ -180,7 +197,8 @@ impl EdgeTrain {
                 Edge { after_us, before_us, boundary, step }
             })
             .collect();
-        Ok(Self { start_us, end_us, pitch_rad: std::f64::consts::TAU / f64::from(edges_per_rev), edges })
+        let pitch_rad = std::f64::consts::TAU / f64::from(edges_per_rev);
+        Ok(Self { start_us, end_us, pitch_rad, edges, rest_until_us: None })
     }
 
     /// Mean speed from the first edge to the last, in rpm, signed; `None` below two edges.
@@ -195,6 +213,20 @@ impl EdgeTrain {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_record_that_shows_an_edge_before_the_drive_did_not_start_from_rest() {
+        let train =
+            EdgeTrain::from_levels(0.0, 1000.0, &levels("0011"), 400, &Directions::constant(Direction::Cw)).unwrap();
+        let rested = train.clone().at_rest_until(1500.0);
+        assert_eq!(
+            (rested.rest_until_us, rested.edges[0].after_us, rested.edges[0].before_us),
+            (Some(1500.0), 1500.0, 2000.0)
+        );
+        for time_us in [2000.0, -1.0, 3000.0, f64::NAN] {
+            assert_eq!(train.clone().at_rest_until(time_us), train);
+        }
+    }
 
     fn levels(text: &str) -> Vec<bool> {
         text.chars().map(|c| c == '1').collect()

@@ -6,7 +6,7 @@ use super::thesis::{self, ThesisEstimate};
 use super::window::{self, Order};
 use super::{RAD_S_TO_RPM, SignalError};
 use crate::record::convert::to_levels;
-use crate::record::measurement::{Direction, DriveResponse, Run, RunData};
+use crate::record::measurement::{Direction, DriveResponse, Run, RunData, RunKind};
 
 /// Sampling period of the thesis's capture in µs (thesis, C.1), used where a record has none of its own.
 pub const THESIS_PERIOD_US: f64 = 1000.0;
@@ -74,13 +74,22 @@ pub struct EncoderErrors {
     pub odd_shift_pitch: f64,
 }
 
-/// The edges of a run, from levels, timestamps or counts.
+/// When the drive of an open-loop run first goes on, in µs: after the off part of the PWM period that t = 0 lies in. `None`
+/// where the run does not say that its drive begins at t = 0 (`drive_on_s`, `duty`).
+fn drive_on_us(run: &Run) -> Option<f64> {
+    let (duty, _) = run.duty.zip(run.drive_on_s).filter(|(duty, _)| run.kind == RunKind::Speed && *duty > 0.0)?;
+    let period_us = 1e6 / run.pwm_hz;
+    let into_us = (run.pwm_phase_s * 1e6).rem_euclid(period_us);
+    Some(((1.0 - duty) * period_us - into_us).max(0.0))
+}
+
+/// The edges of a run, from levels, timestamps or counts. An open-loop run whose drive begins at t = 0 starts from rest.
 ///
 /// # Errors
 /// [`SignalError::NoEncoder`] when the run holds no encoder data, and as [`EdgeTrain`]'s constructors.
 pub fn edges(run: &Run, edges_per_rev: u32, edge_uncertainty_us: f64) -> Result<EdgeTrain, SignalError> {
     let directions = Directions::constant(run.direction.unwrap_or(Direction::Cw));
-    match &run.data {
+    let train = match &run.data {
         RunData::Levels { start_us, period_us, levels } => {
             EdgeTrain::from_levels(*start_us, *period_us, levels, edges_per_rev, &directions)
         }
@@ -91,8 +100,14 @@ pub fn edges(run: &Run, edges_per_rev: u32, edge_uncertainty_us: f64) -> Result<
             let counts: Vec<(f64, f64)> = rows.iter().map(|r| (r.time_us, r.position)).collect();
             EdgeTrain::from_counts(&counts, edges_per_rev)
         }
-        RunData::Velocity { .. } | RunData::Drive { .. } => Err(SignalError::NoEncoder),
-    }
+        RunData::Velocity { .. } | RunData::Drive { .. } => return Err(SignalError::NoEncoder),
+    }?;
+    // The phase of the PWM may not be known to whoever wrote the folder: what the record shows counts.
+    Ok(match drive_on_us(run) {
+        Some(on_us) if train.edges.first().is_some_and(|edge| edge.before_us <= on_us) => train.at_rest_until(0.0),
+        Some(on_us) => train.at_rest_until(on_us),
+        None => train,
+    })
 }
 
 /// Estimates the motion of a run. A record of speeds is handed on as it is, its position by the trapezoidal rule.
@@ -132,7 +147,8 @@ pub fn thesis_steps(run: &Run, options: &Options) -> Result<ThesisEstimate, Sign
 }
 
 impl Motion {
-    fn of_speeds(time_us: &[f64], speed_rpm: &[f64]) -> Self {
+    /// A record of speeds, its position by the trapezoidal rule.
+    pub(crate) fn of_speeds(time_us: &[f64], speed_rpm: &[f64]) -> Self {
         let mut position_rad = Vec::with_capacity(time_us.len());
         let mut angle = 0.0;
         for i in 0..time_us.len() {
@@ -218,7 +234,7 @@ fn windowed(run: &Run, options: &Options, samples: usize, order: Order) -> Resul
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::measurement::{ControlRow, RunKind};
+    use crate::record::measurement::{ControlRow, LevelEdge, RunKind};
     use crate::signal::trial::{self, Trial};
 
     fn options(method: Method) -> Options {
@@ -272,6 +288,81 @@ mod tests {
         let got = motion(&run(data), &options(Method::Smoother)).unwrap();
         assert_eq!(got.speed_rpm, [0.0, 60.0, 60.0]);
         assert!((got.position_rad[2] - 1.5 * std::f64::consts::TAU).abs() < 1e-9);
+    }
+
+    /// A speed through an encoder that begins half a pitch past a boundary, as levels at 1 kHz and as edges.
+    fn recorded(speed_rpm: impl Fn(f64) -> f64, length_s: f64) -> [Run; 2] {
+        const STEP_S: f64 = 1e-5;
+        let (mut pitches, mut levels, mut edges) = (0.5_f64, Vec::new(), Vec::new());
+        for step in 0..(length_s / STEP_S) as usize {
+            if step % 100 == 0 {
+                levels.push(pitches as i64 % 2 == 1);
+            }
+            let next = pitches + speed_rpm((step as f64 + 0.5) * STEP_S) / 60.0 * 400.0 * STEP_S;
+            if next.floor() > pitches.floor() {
+                let share = (next.floor() - pitches) / (next - pitches);
+                let time_us = (step as f64 + share) * STEP_S * 1e6;
+                edges.push(LevelEdge { time_us, level: next as i64 % 2 == 1 });
+            }
+            pitches = next;
+        }
+        let levels = RunData::Levels { start_us: 0.0, period_us: 1000.0, levels };
+        let edges = RunData::Edges { initial: false, start_us: 0.0, edges, end_us: length_s * 1e6 };
+        [levels, edges].map(|data| Run {
+            duty: Some(1.0),
+            drive_on_s: Some(length_s),
+            direction: Some(Direction::Cw),
+            ..run(data)
+        })
+    }
+
+    #[test]
+    fn a_driven_run_starts_from_rest() {
+        let [run, _] = recorded(|t| 35.0 * (1.0 - (-t / 0.001).exp()), 0.6);
+        let got = motion(&run, &options(Method::Smoother)).unwrap();
+        assert!(got.speed_rpm[0].abs() < 1e-6, "{}", got.speed_rpm[0]);
+        // The first edge comes at 4 ms: 63 % are reached somewhere before it.
+        let risen = got.speed_rpm.iter().position(|v| *v > 0.63 * 35.0).unwrap();
+        assert!((1..4).contains(&risen), "{:?}", &got.speed_rpm[..6]);
+        let worst = got.speed_rpm[5..590].iter().map(|v| (v - 35.0).abs()).fold(0.0, f64::max);
+        assert!(worst < 1.0, "{worst}");
+        // Without the drive's times nobody knows, and the speed of the first edges is carried back.
+        let unknown = Run { drive_on_s: None, ..run };
+        assert!(motion(&unknown, &options(Method::Smoother)).unwrap().speed_rpm[0] > 30.0);
+    }
+
+    #[test]
+    fn the_drive_begins_after_the_off_part_of_its_first_period() {
+        let [mut run, _] = recorded(|t| if t < 0.01 { 0.0 } else { 35.0 }, 0.3);
+        run.duty = Some(0.5);
+        assert_eq!(edges(&run, 400, 1.0).unwrap().rest_until_us, Some(10_000.0));
+        run.pwm_phase_s = 0.004;
+        assert_eq!(edges(&run, 400, 1.0).unwrap().rest_until_us, Some(6_000.0));
+        // An edge before that says that the phase was another.
+        run.duty = Some(0.01);
+        assert_eq!(edges(&run, 400, 1.0).unwrap().rest_until_us, Some(0.0));
+    }
+
+    #[test]
+    fn the_start_of_the_real_motor_is_seen_through_its_edges() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data/twum-speed");
+        if !std::path::Path::new(folder).exists() {
+            eprintln!("skipped: {folder} is not there");
+            return;
+        }
+        let measured = crate::record::measurement::Measurement::load(folder).unwrap();
+        let RunData::Velocity { rpm, .. } = &measured.runs[0].data else { panic!() };
+        let runs = recorded(|t| rpm[((t * 1e3).round() as usize).min(rpm.len() - 1)], 3.3);
+        for (run, within_rpm) in runs.iter().zip([1.8, 0.6]) {
+            let got = motion(run, &options(Method::Smoother)).unwrap();
+            let (peak, at_ms) =
+                (0..200).map(|i| (got.speed_rpm[i], i)).fold((0.0, 0), |a, b| if b.0 > a.0 { b } else { a });
+            assert!((peak - 48.0).abs() < within_rpm && (8..=22).contains(&at_ms), "{peak} at {at_ms} ms");
+            assert!((got.speed_rpm[16] - 47.9).abs() < within_rpm, "{}", got.speed_rpm[16]);
+            // At rest before the drive, settled by 0.09 s.
+            assert!(got.speed_rpm[0].abs() < 1e-6);
+            assert!(got.speed_rpm[92..200].iter().all(|v| (v - 33.5).abs() < 0.8), "{:?}", &got.speed_rpm[92..200]);
+        }
     }
 
     #[test]

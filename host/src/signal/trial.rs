@@ -13,6 +13,8 @@ pub const PERIOD_US: f64 = 1000.0;
 pub const TIME_UNCERTAINTY_US: f64 = 0.5;
 /// Step of the integration, in s.
 const STEP_S: f64 = 2e-5;
+/// When a motion from rest starts, in s.
+const START_S: f64 = 0.02;
 
 /// A motion with a known speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,7 +57,7 @@ impl Motion {
         match self {
             Self::Steady { rpm } => rpm,
             Self::StartUp { rpm } => {
-                let t = time_s - 0.02;
+                let t = time_s - START_S;
                 if t <= 0.0 { 0.0 } else { rpm * (1.0 - (-t / 0.004).exp()) * (1.0 + 0.6 * (-t / 0.03).exp()) }
             }
             Self::Ripple { rpm } => {
@@ -124,6 +126,8 @@ pub struct Trial {
     levels: Vec<bool>,
     edges: Vec<LevelEdge>,
     directions: Directions,
+    /// When the drive of a motion from rest went on.
+    drive_on_us: Option<f64>,
 }
 
 impl Trial {
@@ -165,6 +169,7 @@ impl Trial {
             levels: Vec::new(),
             edges: Vec::new(),
             directions: Directions::constant(Direction::Cw),
+            drive_on_us: matches!(motion, Motion::StartUp { .. }).then(|| record_us(START_S)),
         };
         let (mut angle, mut next_sample_s) = (start_rad, sample_offset_s);
         for i in 0..(length_s / STEP_S).round() as usize {
@@ -223,15 +228,26 @@ impl Trial {
 
     /// The edges as [`Trial::levels`] shows them.
     pub fn sampled(&self) -> EdgeTrain {
-        EdgeTrain::from_levels(0.0, PERIOD_US, &self.levels, EDGES_PER_REV, &self.directions)
-            .expect("period and edges are constants above zero")
+        let train = EdgeTrain::from_levels(0.0, PERIOD_US, &self.levels, EDGES_PER_REV, &self.directions)
+            .expect("period and edges are constants above zero");
+        self.from_rest(train)
     }
 
     /// The edges with times of their own, to 1 µs.
     pub fn timestamped(&self) -> EdgeTrain {
         let end_us = self.length_s * 1e6;
-        EdgeTrain::from_times(0.0, end_us, &self.edges, TIME_UNCERTAINTY_US, EDGES_PER_REV, &self.directions)
-            .expect("the motions leave whole microseconds between edges")
+        let train =
+            EdgeTrain::from_times(0.0, end_us, &self.edges, TIME_UNCERTAINTY_US, EDGES_PER_REV, &self.directions)
+                .expect("the motions leave whole microseconds between edges");
+        self.from_rest(train)
+    }
+
+    /// A bench knows when it switched the drive on.
+    fn from_rest(&self, train: EdgeTrain) -> EdgeTrain {
+        match self.drive_on_us {
+            Some(time_us) => train.at_rest_until(time_us),
+            None => train,
+        }
     }
 }
 

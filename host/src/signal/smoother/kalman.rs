@@ -6,6 +6,11 @@ use nalgebra::{Matrix3, Vector3};
 /// Standard deviations of a state nothing is known of: of the speed (pitch/s) and the acceleration (pitch/s²).
 const UNKNOWN_SPEED: f64 = 1e3;
 const UNKNOWN_ACCELERATION: f64 = 1e4;
+/// Variance that the speed of a rotor gains in a second after the drive took hold of it, until the line first says where it
+/// is, in pitch²/s³: the real motor comes to 300 pitch/s within some 4 ms, which makes 2e7 of a random walk.
+const KICK: f64 = 1e7;
+/// Standard deviation of the speed of a rotor known to stand still, in pitch/s.
+const REST_SPEED: f64 = 1e-2;
 /// Noise on the acceleration for a jerk of unit strength, in s²: lets a start have a kink in its speed, and vanishes
 /// where the strength is small.
 const ACCELERATION_NOISE_S2: f64 = 1e-4;
@@ -58,20 +63,40 @@ impl Innovation {
     }
 }
 
-fn transition(dt: f64) -> Matrix3<f64> {
-    Matrix3::new(1.0, dt, 0.5 * dt * dt, 0.0, 1.0, dt, 0.0, 0.0, 1.0)
+/// How the speed changes from one node to the next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Change {
+    /// By a white jerk of this strength, in pitch²/s⁵.
+    Jerk(f64),
+    /// The drive takes hold of a rotor at rest: the speed is a random walk, and nothing is known of the acceleration after
+    /// it. What happens before the first edge so has little say in what happens behind it.
+    Kick,
 }
 
-/// Covariance that a white jerk, and the white acceleration beside it, add over `dt`.
-fn noise(dt: f64, strength: f64) -> Matrix3<f64> {
-    let (d2, d3) = (dt * dt, dt * dt * dt);
-    let (d4, d5) = (d2 * d2, d2 * d3);
-    let a = ACCELERATION_NOISE_S2;
-    let angle_angle = d5 / 20.0 + a * d3 / 3.0;
-    let angle_speed = d4 / 8.0 + a * d2 / 2.0;
-    let speed_speed = d3 / 3.0 + a * dt;
-    Matrix3::new(angle_angle, angle_speed, d3 / 6.0, angle_speed, speed_speed, d2 / 2.0, d3 / 6.0, d2 / 2.0, dt)
-        * strength
+impl Change {
+    fn transition(self, dt: f64) -> Matrix3<f64> {
+        match self {
+            Self::Jerk(_) => Matrix3::new(1.0, dt, 0.5 * dt * dt, 0.0, 1.0, dt, 0.0, 0.0, 1.0),
+            Self::Kick => Matrix3::new(1.0, dt, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0),
+        }
+    }
+
+    /// Covariance added over `dt`: by a white jerk and the white acceleration beside it, or by the random walk.
+    fn noise(self, dt: f64) -> Matrix3<f64> {
+        let (d2, d3) = (dt * dt, dt * dt * dt);
+        let Self::Jerk(strength) = self else {
+            let (angle_angle, angle_speed, speed_speed) = (KICK * d3 / 3.0, KICK * d2 / 2.0, KICK * dt);
+            let acceleration = UNKNOWN_ACCELERATION * UNKNOWN_ACCELERATION;
+            return Matrix3::new(angle_angle, angle_speed, 0.0, angle_speed, speed_speed, 0.0, 0.0, 0.0, acceleration);
+        };
+        let (d4, d5) = (d2 * d2, d2 * d3);
+        let a = ACCELERATION_NOISE_S2;
+        let angle_angle = d5 / 20.0 + a * d3 / 3.0;
+        let angle_speed = d4 / 8.0 + a * d2 / 2.0;
+        let speed_speed = d3 / 3.0 + a * dt;
+        Matrix3::new(angle_angle, angle_speed, d3 / 6.0, angle_speed, speed_speed, d2 / 2.0, d3 / 6.0, d2 / 2.0, dt)
+            * strength
+    }
 }
 
 impl Gaussian {
@@ -81,9 +106,15 @@ impl Gaussian {
         Self { mean: Vector3::new(angle, 0.0, 0.0), cov: Matrix3::from_diagonal(&spread.component_mul(&spread)) }
     }
 
-    pub(super) fn after(&self, dt: f64, strength: f64) -> Self {
-        let f = transition(dt);
-        Self { mean: f * self.mean, cov: f * self.cov * f.transpose() + noise(dt, strength) }
+    /// A rotor somewhere about `angle`, at rest, at the moment the drive goes on.
+    pub(super) fn at_rest(angle: f64) -> Self {
+        let spread = Vector3::new(1.0, REST_SPEED, UNKNOWN_ACCELERATION);
+        Self { mean: Vector3::new(angle, 0.0, 0.0), cov: Matrix3::from_diagonal(&spread.component_mul(&spread)) }
+    }
+
+    pub(super) fn after(&self, dt: f64, change: Change) -> Self {
+        let f = change.transition(dt);
+        Self { mean: f * self.mean, cov: f * self.cov * f.transpose() + change.noise(dt) }
     }
 
     /// Takes in a measured angle.
@@ -99,14 +130,15 @@ impl Gaussian {
 }
 
 /// The state at each node, given all of them (modified Bryson-Frazier: filter forwards, then carry the gradient and the
-/// curvature of the later log-likelihood backwards; no matrix is inverted).
-pub(super) fn smoothed(nodes: &[Node]) -> Vec<Gaussian> {
+/// curvature of the later log-likelihood backwards; no matrix is inverted). `start` is what is known at the first node
+/// before what it says.
+pub(super) fn smoothed(nodes: &[Node], start: Gaussian) -> Vec<Gaussian> {
     let mut states: Vec<Gaussian> = Vec::with_capacity(nodes.len());
     let mut told = Vec::with_capacity(nodes.len());
     for (i, node) in nodes.iter().enumerate() {
         let mut g = match i.checked_sub(1) {
-            None => Gaussian::about(first_angle(nodes)),
-            Some(before) => states[before].after(node.time_s - nodes[before].time_s, node.strength),
+            None => start,
+            Some(before) => states[before].after(node.time_s - nodes[before].time_s, node.change),
         };
         told.push(node.angle.moments().map(|(mean, variance)| g.measure(mean, variance)));
         states.push(g);
@@ -126,7 +158,7 @@ pub(super) fn smoothed(nodes: &[Node]) -> Vec<Gaussian> {
             curvature[(0, 0)] += 1.0 / told.variance;
         }
         if i > 0 {
-            let f = transition(nodes[i].time_s - nodes[i - 1].time_s);
+            let f = nodes[i].change.transition(nodes[i].time_s - nodes[i - 1].time_s);
             gradient = f.transpose() * gradient;
             curvature = f.transpose() * curvature * f;
         }
@@ -149,17 +181,17 @@ mod tests {
     fn smoothing_equals_conditioning_the_joint_gaussian() {
         let measured =
             [(0.0, Some(0.1)), (0.01, None), (0.013, Some(1.2)), (0.02, Some(1.9)), (0.03, None), (0.031, Some(3.4))];
-        let (strength, variance) = (1e8, 0.01);
+        let (change, variance) = (Change::Jerk(1e8), 0.01);
         let nodes: Vec<Node> = measured
             .iter()
             .map(|&(time_s, z)| Node {
                 time_s,
                 statement: Statement::Nothing,
                 angle: z.map_or(Angle::UNKNOWN, |z| Angle::new(z, variance)),
-                strength,
+                change,
             })
             .collect();
-        let got = smoothed(&nodes);
+        let got = smoothed(&nodes, Gaussian::about(0.1));
 
         let n = nodes.len();
         let mut mean = nalgebra::DVector::zeros(3 * n);
@@ -168,8 +200,8 @@ mod tests {
         for i in 0..n {
             if i > 0 {
                 let dt = nodes[i].time_s - nodes[i - 1].time_s;
-                let f = transition(dt);
-                g = g.after(dt, strength);
+                let f = change.transition(dt);
+                g = g.after(dt, change);
                 for j in 0..i {
                     let cross = f * cov.fixed_view::<3, 3>(3 * (i - 1), 3 * j);
                     cov.fixed_view_mut::<3, 3>(3 * i, 3 * j).copy_from(&cross);

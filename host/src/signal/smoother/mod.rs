@@ -23,7 +23,7 @@ mod strength;
 
 use super::edges::EdgeTrain;
 use super::{RAD_S_TO_RPM, SignalError};
-use kalman::{Angle, Gaussian, smoothed};
+use kalman::{Angle, Change, Gaussian, first_angle, smoothed};
 
 /// Rounds of strength, smoothing and encoder errors.
 pub const ROUNDS: usize = 3;
@@ -73,19 +73,26 @@ pub fn smooth(train: &EdgeTrain, at_us: &[f64]) -> Result<Smoothed, SignalError>
     }
     let mut encoder = Encoder::guessed(train);
     let mut nodes = nodes(train, &encoder);
+    let start = match train.rest_until_us {
+        Some(_) => Gaussian::at_rest(first_angle(&nodes)),
+        None => Gaussian::about(first_angle(&nodes)),
+    };
     for round in 0..ROUNDS {
-        strength::assign(&mut nodes);
+        strength::assign(&mut nodes, start);
         for _ in 0..SWEEPS {
-            let states = smoothed(&nodes);
+            let states = smoothed(&nodes, start);
             update(&mut nodes, &states, &encoder);
         }
         if round + 1 < ROUNDS && train.edges.len() >= EDGES_FOR_ENCODER_ERRORS {
-            encoder.learn(&nodes, &smoothed(&nodes));
+            encoder.learn(&nodes, &smoothed(&nodes, start));
         }
     }
-    let (nodes, wanted) = with_times(nodes, at_us);
-    let states = smoothed(&nodes);
-    let chosen: Vec<&Gaussian> = wanted.iter().map(|i| &states[*i]).collect();
+    // A rotor known to stand still is where it is when the drive goes on.
+    let resting = train.rest_until_us.map_or(0, |rest_us| at_us.partition_point(|t| *t <= rest_us));
+    let (nodes, wanted) = with_times(nodes, &at_us[resting..]);
+    let states = smoothed(&nodes, start);
+    let at_rest = std::iter::repeat_n(&states[0], resting);
+    let chosen: Vec<&Gaussian> = at_rest.chain(wanted.iter().map(|i| &states[*i])).collect();
     let rpm = train.pitch_rad * RAD_S_TO_RPM;
     let column = |f: &dyn Fn(&Gaussian) -> f64| chosen.iter().map(|g| f(g)).collect::<Vec<f64>>();
     Ok(Smoothed {
@@ -107,8 +114,8 @@ struct Node {
     statement: Statement,
     /// The Gaussian that stands for the statement.
     angle: Angle,
-    /// Strength of the jerk between the node before and this one, in pitch²/s⁵.
-    strength: f64,
+    /// How the speed changes between the node before and this one.
+    change: Change,
 }
 
 /// What the line says about the angle, in pitches.
@@ -200,7 +207,7 @@ fn nodes(train: &EdgeTrain, encoder: &Encoder) -> Vec<Node> {
         Some(turned / seconds(pair[1].middle_us() - pair[0].middle_us()))
     };
     let mut nodes = Vec::new();
-    let (mut from_s, mut cell) = (seconds(train.start_us), 0);
+    let (mut from_s, mut cell) = (seconds(train.rest_until_us.unwrap_or(train.start_us)), 0);
     for (i, edge) in edges.iter().enumerate() {
         let half_width_s = 0.5 * seconds(edge.before_us - edge.after_us);
         let time_s = seconds(edge.middle_us());
@@ -209,10 +216,13 @@ fn nodes(train: &EdgeTrain, encoder: &Encoder) -> Vec<Node> {
         let speed = before.max(speed_between(i).unwrap_or(0.0));
         let statement = Statement::Crosses { boundary: edge.boundary, half_width_s };
         let angle = encoder.crossing(edge.boundary, half_width_s, speed);
-        nodes.push(Node { time_s, statement, angle, strength: 0.0 });
+        nodes.push(Node { time_s, statement, angle, change: Change::Jerk(strength::WEAKEST) });
         (from_s, cell) = (time_s + half_width_s, edge.count_after());
     }
     add_cells(&mut nodes, cell, from_s, seconds(train.end_us), edges.is_empty(), true);
+    if train.rest_until_us.is_some() {
+        nodes[1].change = Change::Kick;
+    }
     nodes
 }
 
@@ -224,7 +234,12 @@ fn add_cells(nodes: &mut Vec<Node>, cell: i64, from_s: f64, to_s: f64, at_start:
             let time_s = from_s + (to_s - from_s) * part as f64 / parts as f64;
             // The first state is centred on its cell; later ones start unsaid.
             let angle = if nodes.is_empty() { Angle::new(cell as f64 + 0.5, 1.0 / 12.0) } else { Angle::UNKNOWN };
-            nodes.push(Node { time_s, statement: Statement::InCell(cell), angle, strength: 0.0 });
+            nodes.push(Node {
+                time_s,
+                statement: Statement::InCell(cell),
+                angle,
+                change: Change::Jerk(strength::WEAKEST),
+            });
         }
     }
 }
@@ -252,18 +267,18 @@ fn with_times(nodes: Vec<Node>, at_us: &[f64]) -> (Vec<Node>, Vec<usize>) {
     let mut all = Vec::with_capacity(nodes.len() + at_us.len());
     let mut wanted = Vec::with_capacity(at_us.len());
     let mut times = at_us.iter().map(|us| seconds(*us)).peekable();
-    let last_strength = nodes.last().map_or(strength::WEAKEST, |n| n.strength);
-    let nothing = |time_s, strength| Node { time_s, statement: Statement::Nothing, angle: Angle::UNKNOWN, strength };
+    let last_change = nodes.last().map_or(Change::Jerk(strength::WEAKEST), |n| n.change);
+    let nothing = |time_s, change| Node { time_s, statement: Statement::Nothing, angle: Angle::UNKNOWN, change };
     for node in nodes {
         while let Some(time_s) = times.next_if(|t| *t < node.time_s) {
             wanted.push(all.len());
-            all.push(nothing(time_s, node.strength));
+            all.push(nothing(time_s, node.change));
         }
         all.push(node);
     }
     for time_s in times {
         wanted.push(all.len());
-        all.push(nothing(time_s, last_strength));
+        all.push(nothing(time_s, last_change));
     }
     (all, wanted)
 }

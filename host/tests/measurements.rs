@@ -1,0 +1,198 @@
+//! `twum velocity` and `twum compare` from the command line, on measurements whose answer is known without them.
+
+use serde_json::Value;
+use std::fmt::Write;
+use std::path::Path;
+use std::process::{Command, Output};
+
+const EDGES_PER_REV: f64 = 400.0;
+
+fn twum(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_twum")).current_dir(folder).args(args).output().unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    let text = String::from_utf8_lossy(&output.stdout);
+    serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: {text} {}", String::from_utf8_lossy(&output.stderr)))
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+fn write(folder: &Path, runs: &str, files: &[(&str, String)]) {
+    let manifest = format!("name = \"known\"\nmotor = \"pcbmotor-30mm\"\nedges_per_rev = 400\n{runs}");
+    std::fs::write(folder.join("measurement.toml"), manifest).unwrap();
+    for (name, text) in files {
+        std::fs::write(folder.join(name), text).unwrap();
+    }
+}
+
+/// Rows of a `levels` file: the line sampled at 1 kHz while the rotor, at rest until 20 ms, turns by `rpm(time, angle)`.
+fn levels(length_s: f64, rpm: impl Fn(f64, f64) -> f64) -> String {
+    const STEP_S: f64 = 1e-5;
+    let (mut text, mut turns) = ("time_us,level\n".to_owned(), 0.25 / EDGES_PER_REV);
+    for step in 0..(length_s / STEP_S).round() as usize {
+        if step % 100 == 0 {
+            let level = (turns * EDGES_PER_REV) as u64 % 2;
+            writeln!(text, "{},{level}", step * 10).unwrap();
+        }
+        let time_s = step as f64 * STEP_S;
+        turns += rpm(time_s, turns * std::f64::consts::TAU) / 60.0 * STEP_S;
+    }
+    text
+}
+
+fn speed_run(id: &str, duty: f64) -> String {
+    format!(
+        "[[run]]\nid = \"{id}\"\nkind = \"speed\"\nfile = \"{id}.csv\"\nformat = \"levels\"\nduty = {duty}\n\
+         direction = \"ccw\"\ndrive_on_s = 4.0\n"
+    )
+}
+
+#[test]
+fn velocity_finds_mean_drift_and_ripple() {
+    let dir = tempfile::tempdir().unwrap();
+    let ripple = |t: f64, angle: f64| 36.0 - 0.8 * t + 4.0 * (2.0 * angle).cos();
+    write(
+        dir.path(),
+        &[speed_run("ripple", 1.0), speed_run("steady", 0.75)].concat(),
+        &[("ripple.csv", levels(4.0, ripple)), ("steady.csv", levels(4.0, |_, _| 30.9))],
+    );
+    let output = twum(dir.path(), &["velocity", ".", "--json"]);
+    assert!(output.status.success());
+    let found = json(&output);
+    let (ripple, steady) = (&found[0], &found[1]);
+    // ccw is negative; a turn takes 60 / sqrt(36^2 - 4^2) s, and 36 rpm fall to 32.8 rpm.
+    assert!((number(&ripple["drift_rpm_per_s"]) - 0.8).abs() < 0.03, "{ripple}");
+    assert!((number(&ripple["ripple_rpm"][1]) - 4.0).abs() < 0.1, "{ripple}");
+    assert!(number(&ripple["ripple_rpm"][0]) < 0.1 && number(&ripple["ripple_r2"]) > 0.99, "{ripple}");
+    let mean_rpm = ((34.4_f64).powi(2) - 16.0).sqrt();
+    assert!((number(&ripple["mean_rpm"]) + mean_rpm).abs() < 0.15, "{ripple}");
+    assert!((number(&steady["mean_rpm"]) + 30.9).abs() < 0.03, "{steady}");
+    assert!((number(&steady["duration_s"]) - 3.999).abs() < 1e-9, "{steady}");
+    // 30.9 rpm over 4 s at 400 edges a turn.
+    assert!((number(&steady["edges"]) - 824.0).abs() <= 1.0, "{steady}");
+
+    let table = twum(dir.path(), &["velocity", "measurement.toml", "--run", "steady"]);
+    let text = String::from_utf8(table.stdout).unwrap();
+    assert!(text.lines().nth(1).unwrap().contains("-30.9") && !text.contains("ripple "), "{text}");
+
+    let csv = twum(dir.path(), &["velocity", ".", "--run", "steady", "--csv", "-"]);
+    let text = String::from_utf8(csv.stdout).unwrap();
+    let row: Vec<f64> = text.lines().nth(2001).unwrap().split(',').skip(1).map(|v| v.parse().unwrap()).collect();
+    assert!((row[0] - 2e6).abs() < 1e-6 && (row[2] + 30.9).abs() < 0.05 && row[3] < 0.1, "{row:?}");
+
+    let missing = twum(dir.path(), &["velocity", ".", "--run", "other"]);
+    assert_eq!(missing.status.code(), Some(2));
+    assert!(String::from_utf8(missing.stderr).unwrap().contains("no run other; it has: ripple, steady"));
+}
+
+#[test]
+fn compare_tells_by_how_much_the_simulation_is_off() {
+    let dir = tempfile::tempdir().unwrap();
+    let duties = [0.5, 0.75, 1.0];
+    let ids = ["half", "most", "full"];
+    let runs: String = ids.iter().zip(duties).map(|(id, duty)| speed_run(id, duty)).collect();
+    let files: Vec<(String, String)> =
+        ids.iter().zip(duties).map(|(id, duty)| (format!("{id}.csv"), levels(3.0, |_, _| 50.0 * duty))).collect();
+    let files: Vec<(&str, String)> = files.iter().map(|(name, text)| (name.as_str(), text.clone())).collect();
+    write(dir.path(), &runs, &files);
+    let output = twum(dir.path(), &["compare", ".", "--json", "--plot", "compare.svg"]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let found = &json(&output)["simulation"];
+    let runs = found["runs"].as_array().unwrap();
+    let mut squares = 0.0;
+    for (run, duty) in runs.iter().zip(duties) {
+        assert!((number(&run["measured"]["settled_rpm"]) - 50.0 * duty).abs() < 0.05, "{run}");
+        let off = 50.0 * duty - number(&run["simulated"]["settled_rpm"]);
+        // The motion is steady, so the error of the speed is that of its mean, pulses and start of the simulation aside.
+        assert!(number(&run["rmse_speed_rpm"]) > off.abs() - 0.1, "{run}: {off}");
+        squares += number(&run["rmse_speed_rpm"]).powi(2) / 3.0;
+    }
+    assert!((number(&found["rmse_speed_rpm"]) - squares.sqrt()).abs() < 1e-9, "{found}");
+    // R² from the means themselves: 1 - sum (m - s)^2 / sum (m - mean)^2.
+    let of = |side: &str| -> Vec<f64> { runs.iter().map(|run| number(&run[side]["mean_rpm"])).collect() };
+    let (measured, simulated) = (of("measured"), of("simulated"));
+    let mean = measured.iter().sum::<f64>() / 3.0;
+    let sum = |other: &dyn Fn(usize) -> f64| (0..3).map(|i| (measured[i] - other(i)).powi(2)).sum::<f64>();
+    let r2 = 1.0 - sum(&|i| simulated[i]) / sum(&|_| mean);
+    assert!((number(&found["r2_speed"]) - r2).abs() < 1e-9, "{found} {r2}");
+    let svg = std::fs::read_to_string(dir.path().join("compare.svg")).unwrap();
+    assert!(svg.contains(&format!("Speed against duty (R\u{b2} {r2:.3})")));
+
+    let strict = twum(dir.path(), &["compare", ".", "--max-rmse-rpm", "0.01"]);
+    assert_eq!(strict.status.code(), Some(1));
+}
+
+/// The thesis's controller in doubles over a rotor of 350 counts/s: what a lab's own board may have written down.
+fn track(kp: f64) -> String {
+    const PERIOD_S: f64 = 500e-6;
+    let (mut position, mut previous, mut integral) = (0.0_f64, 0.0, 0.0_f64);
+    let mut text = "time_us,target,position,u,duty,direction\n".to_owned();
+    for tick in 0..8000 {
+        let target = (89.0 * (1.257 * f64::from(tick) * PERIOD_S).sin()).trunc();
+        let error = target - position.trunc();
+        integral = (integral + error * PERIOD_S).clamp(0.0, 31.0);
+        let u = kp * error + 0.0015 * integral + 0.00004 * (error - previous) / PERIOD_S;
+        previous = error;
+        let on = 32.0 - (31.0 - u.abs()).max(0.0).trunc();
+        let direction = if u > 0.0 { 1.0 } else { -1.0 };
+        writeln!(text, "{},{target},{},{u},{},{direction}", tick * 500, position.trunc(), on / 32.0).unwrap();
+        position += direction * (on - 1.0) / 31.0 * 350.0 * PERIOD_S;
+    }
+    text
+}
+
+#[test]
+fn compare_takes_a_closed_loop_apart() {
+    let dir = tempfile::tempdir().unwrap();
+    let run =
+        "[[run]]\nid = \"sine\"\nkind = \"track\"\nfile = \"sine.csv\"\nformat = \"control\"\ncontrol = \"thesis\"\n";
+    write(dir.path(), run, &[("sine.csv", track(1.3))]);
+    let output = twum(dir.path(), &["compare", ".", "--json", "--plot", "sine.png"]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let found = json(&output)["closed_loops"][0].clone();
+    assert_eq!(
+        (found["controller"]["ticks"].as_u64(), found["controller"]["mismatched"].as_u64()),
+        (Some(8000), Some(0))
+    );
+    assert_eq!(number(&found["actuator"]["duty_rms"]), 0.0);
+    assert_eq!(number(&found["actuator"]["wrong_direction"]), 0.0);
+    assert_eq!(number(&found["sensor"]["largest_jump"]), 1.0);
+    // This rotor turns at once and in proportion to the duty, which no piezo motor does.
+    assert!(number(&found["plant"]["rms_rpm"]) > 1.0 && found["plant"]["gain"].is_number(), "{found}");
+    assert!(dir.path().join("sine.png").exists());
+
+    write(dir.path(), run, &[("sine.csv", track(1.5))]);
+    let output = twum(dir.path(), &["compare", "."]);
+    assert_eq!(output.status.code(), Some(1));
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("likely: other gains: kp = 1.500"), "{text}");
+}
+
+#[test]
+fn both_read_recordings() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |args: &[&str]| {
+        let output = twum(dir.path(), args);
+        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        output
+    };
+    run(&["speed", "--port", "sim", "--duty", "1", "--seconds", "2", "--out", "speed.mcap"]);
+    run(&["export", "speed.mcap", "--to", "folder", "exported"]);
+    let direct = json(&run(&["velocity", "speed.mcap", "--json"]));
+    let exported = json(&run(&["velocity", "exported", "--json"]));
+    let mean = number(&direct[0]["mean_rpm"]);
+    assert!(mean.abs() > 10.0 && (mean - number(&exported[0]["mean_rpm"])).abs() < 1e-6, "{direct} {exported}");
+    assert_eq!(direct[0]["edges"], exported[0]["edges"]);
+
+    run(&["track", "--port", "sim", "--control", "thesis", "--seconds", "4", "--out", "track.mcap"]);
+    let found = json(&run(&["compare", "track.mcap", "--json"]))["closed_loops"][0].clone();
+    assert_eq!(found["controller"]["mismatched"].as_u64(), Some(0), "{found}");
+    assert_eq!(number(&found["actuator"]["duty_rms"]), 0.0, "{found}");
+    // The simulated board's motor starts with a time constant of 6 ms, the replayed one within a millisecond or two: only the
+    // plant's residual shows it.
+    assert!((0.5..0.9).contains(&number(&found["plant"]["gain"])), "{found}");
+    assert_eq!(number(&found["sensor"]["largest_jump"]), 1.0, "{found}");
+}
