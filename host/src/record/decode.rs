@@ -2,6 +2,8 @@
 
 use super::store::{Entry, Integrity, Metadata, Reader, Sender, StoreError};
 use serde::Serialize;
+use std::fs::File;
+use std::io::{Read, Seek};
 use std::path::Path;
 use twum_shared::frame::{self, FrameError, Header, MAX_ENCODED};
 use twum_shared::message::{DeviceMessage, HostMessage};
@@ -67,20 +69,27 @@ pub struct LinkStatistics {
 
 /// Decodes a recording from beginning to end.
 #[derive(Debug)]
-pub struct Decoder {
-    reader: Reader,
+pub struct Decoder<S = File> {
+    reader: Reader<S>,
     statistics: LinkStatistics,
     /// Sequence and device time of the board's frame before.
     last: Option<Header>,
 }
 
-impl Decoder {
+impl Decoder<File> {
     /// Opens a recording.
     ///
     /// # Errors
     /// As [`Reader::open`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        Ok(Self { reader: Reader::open(path)?, statistics: LinkStatistics::default(), last: None })
+        Ok(Self::new(Reader::open(path)?))
+    }
+}
+
+impl<S: Read + Seek> Decoder<S> {
+    /// Decodes what a reader gives.
+    pub fn new(reader: Reader<S>) -> Self {
+        Self { reader, statistics: LinkStatistics::default(), last: None }
     }
 
     /// What the recording says about itself.

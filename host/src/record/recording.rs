@@ -2,6 +2,7 @@
 
 use super::decode::{Decoder, Item, LinkStatistics};
 use super::store::{Integrity, Metadata, Sender, StoreError};
+use std::io::{Read, Seek};
 use std::path::Path;
 use twum_shared::bits;
 use twum_shared::message::{
@@ -207,7 +208,14 @@ impl Recording {
     /// # Errors
     /// As [`Decoder::open`] and [`Decoder::next_item`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self, StoreError> {
-        let mut decoder = Decoder::open(path)?;
+        Self::read(Decoder::open(path)?)
+    }
+
+    /// Reads a recording to its end.
+    ///
+    /// # Errors
+    /// As [`Decoder::next_item`].
+    pub fn read<S: Read + Seek>(mut decoder: Decoder<S>) -> Result<Self, StoreError> {
         let mut builder = Builder::new(decoder.metadata().clone());
         while let Some(item) = decoder.next_item()? {
             builder.add(item);

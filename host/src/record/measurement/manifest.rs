@@ -7,6 +7,7 @@ use super::{
 };
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
+use std::io::BufRead;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 use toml::Spanned;
@@ -55,8 +56,43 @@ pub(super) fn names_a_file(motor: &str) -> bool {
     motor.contains(['/', '\\']) || motor.ends_with(".toml")
 }
 
+/// What a measurement is read from: a folder, or anything else that holds texts by name.
+pub trait Files {
+    /// Where the file of this name, as `measurement.toml` gives it, is to be opened.
+    ///
+    /// # Errors
+    /// Why there is no such file here.
+    fn resolve(&self, name: &str) -> Result<PathBuf, String>;
+
+    /// Opens what [`Files::resolve`] gave.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    fn open(&self, path: &Path) -> Result<Box<dyn BufRead>, MeasurementError>;
+}
+
+struct Folder<'a>(&'a Path);
+
+impl Files for Folder<'_> {
+    /// A file named in the folder's own text must not lead out of the folder, not even by a symbolic link.
+    fn resolve(&self, name: &str) -> Result<PathBuf, String> {
+        inside(self.0, name)
+    }
+
+    fn open(&self, path: &Path) -> Result<Box<dyn BufRead>, MeasurementError> {
+        table::open(path)
+    }
+}
+
 pub(super) fn load(folder: &Path) -> Result<Measurement, MeasurementError> {
-    let manifest = Text::read(folder)?;
+    read(folder, Text::read(folder)?, &Folder(folder))
+}
+
+pub(super) fn parse(folder: &Path, manifest: &str, files: &impl Files) -> Result<Measurement, MeasurementError> {
+    read(folder, Text { path: folder.join(MANIFEST), text: manifest.to_owned() }, files)
+}
+
+fn read(folder: &Path, manifest: Text, files: &impl Files) -> Result<Measurement, MeasurementError> {
     let parsed: Manifest = toml::from_str(&manifest.text).map_err(|error| {
         let at = error.span().unwrap_or(0..0);
         manifest.error(at, error.message())
@@ -68,7 +104,8 @@ pub(super) fn load(folder: &Path) -> Result<Measurement, MeasurementError> {
         return Err(manifest.error(0..0, format!("{} runs: at most {MAX_RUNS} a folder", parsed.run.len())));
     }
     if names_a_file(parsed.motor.get_ref()) {
-        inside(folder, parsed.motor.get_ref())
+        files
+            .resolve(parsed.motor.get_ref())
             .map_err(|what| manifest.error(parsed.motor.span(), format!("motor: {what}")))?;
     }
     let edges_per_rev = edges_per_rev(&parsed, &manifest)?;
@@ -83,7 +120,7 @@ pub(super) fn load(folder: &Path) -> Result<Measurement, MeasurementError> {
         if !ids.insert(id.clone()) {
             return Err(manifest.error(entry.id.span(), format!("id `{id}` names two runs")));
         }
-        runs.push(entry.load(folder, &manifest, &mut budget)?);
+        runs.push(entry.load(files, &manifest, &mut budget)?);
     }
     Ok(Measurement {
         name: parsed.name,
@@ -109,8 +146,9 @@ fn edges_per_rev(parsed: &Manifest, manifest: &Text) -> Result<u32, MeasurementE
 }
 
 impl Entry {
-    fn load(self, folder: &Path, manifest: &Text, budget: &mut Budget) -> Result<Run, MeasurementError> {
-        let path = inside(folder, self.file.get_ref())
+    fn load(self, files: &impl Files, manifest: &Text, budget: &mut Budget) -> Result<Run, MeasurementError> {
+        let path = files
+            .resolve(self.file.get_ref())
             .map_err(|what| manifest.error(self.file.span(), format!("file: {what}")))?;
         let bounded = |value: &Option<Spanned<f64>>, key: &str, range: Range<f64>, unit: &str| match value {
             Some(value) if !range.contains(value.get_ref()) => Err(manifest.error(
@@ -146,7 +184,7 @@ impl Entry {
             aligned: self.aligned.unwrap_or(false),
             order: self.order,
             control: self.control.as_ref().map(|control| control_spec(control, manifest)).transpose()?,
-            data: table::read(&path, self.format, budget)?,
+            data: table::read(files.open(&path)?, &path, self.format, budget)?,
             id: self.id.into_inner(),
             file: self.file.into_inner(),
         })
@@ -190,19 +228,28 @@ impl ControlGains {
     }
 }
 
-/// Resolves a file named in the folder's own text; it must not lead out of the folder, not even by a symbolic link.
-pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, String> {
+/// The path a name of `measurement.toml` stands for, if it is one below the folder.
+///
+/// # Errors
+/// For an absolute path, one with `..` or `\\`, and none at all.
+pub fn below(folder: &Path, name: &str) -> Result<PathBuf, String> {
     let relative = Path::new(name);
     let plain = relative.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
     if name.is_empty() || !plain || name.contains(['\\', '\0']) {
         return Err(format!("`{}` must be a path below the folder, with `/` and without `..`", name.escape_debug()));
     }
+    Ok(folder.join(relative))
+}
+
+/// As [`below`], and it must not lead out of the folder by a symbolic link either.
+pub(super) fn inside(folder: &Path, name: &str) -> Result<PathBuf, String> {
+    let path = below(folder, name)?;
     let resolve = |path: &Path| path.canonicalize().map_err(|source| format!("{}: {source}", path.display()));
-    let (root, target) = (resolve(folder)?, resolve(&folder.join(relative))?);
+    let (root, target) = (resolve(folder)?, resolve(&path)?);
     if !target.starts_with(&root) {
         return Err(format!("`{name}` is a link out of the folder"));
     }
-    Ok(folder.join(relative))
+    Ok(path)
 }
 
 /// The text of `measurement.toml`, to turn positions into lines and columns.

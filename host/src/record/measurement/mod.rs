@@ -15,6 +15,7 @@ mod write;
 
 pub use control::ControlError;
 pub use error::MeasurementError;
+pub use manifest::{Files, below};
 
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -261,6 +262,15 @@ impl Measurement {
     /// Names the file, line and column of the first thing that is wrong; see the module's documentation for the bounds.
     pub fn load(folder: impl AsRef<Path>) -> Result<Self, MeasurementError> {
         manifest::load(folder.as_ref())
+    }
+
+    /// Reads a measurement whose `measurement.toml` is `manifest` and whose data files are `files`; `folder` is its place
+    /// in messages.
+    ///
+    /// # Errors
+    /// As [`Measurement::load`].
+    pub fn parse(folder: &Path, manifest: &str, files: &impl Files) -> Result<Self, MeasurementError> {
+        manifest::parse(folder, manifest, files)
     }
 
     /// Loads a folder of the thesis's own text files, `Duty_<d>_<n>.txt`, without a `measurement.toml`.

@@ -109,7 +109,10 @@ pub(super) fn load_folder(folder: &Path, direction: Direction) -> Result<Measure
                 aligned: true,
                 order: None,
                 control: None,
-                data: table::read(&folder.join(&file), Format::Packed, &mut budget)?,
+                data: {
+                    let path = folder.join(&file);
+                    table::read(table::open(&path)?, &path, Format::Packed, &mut budget)?
+                },
                 file,
             })
         })

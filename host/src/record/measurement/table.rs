@@ -45,7 +45,7 @@ impl Budget {
 
 /// The lines of a text file that hold something: comments (`#`) and blank lines are skipped.
 pub(super) struct Lines {
-    reader: BufReader<File>,
+    reader: Box<dyn BufRead>,
     path: PathBuf,
     buffer: Vec<u8>,
     /// Number of the current line, from 1.
@@ -53,20 +53,8 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    /// Opens a regular file.
-    pub(super) fn open(path: &Path) -> Result<Self, MeasurementError> {
-        let metadata = std::fs::metadata(path).map_err(|source| MeasurementError::io(path, source))?;
-        // A pipe or device in the place of a file would block or never end.
-        if !metadata.is_file() {
-            return Err(MeasurementError::whole(path, "not a regular file"));
-        }
-        let file = File::open(path).map_err(|source| MeasurementError::io(path, source))?;
-        Ok(Self {
-            reader: BufReader::with_capacity(1 << 16, file),
-            path: path.to_owned(),
-            buffer: Vec::new(),
-            number: 0,
-        })
+    fn new(reader: Box<dyn BufRead>, path: &Path) -> Self {
+        Self { reader, path: path.to_owned(), buffer: Vec::new(), number: 0 }
     }
 
     /// An error at a column of the current line.
@@ -212,9 +200,25 @@ struct Clock {
     last_us: Option<f64>,
 }
 
-/// Reads the data file of a run.
-pub(super) fn read(path: &Path, format: Format, budget: &mut Budget) -> Result<RunData, MeasurementError> {
-    let mut lines = Lines::open(path)?;
+/// Opens a regular file.
+pub(super) fn open(path: &Path) -> Result<Box<dyn BufRead>, MeasurementError> {
+    let metadata = std::fs::metadata(path).map_err(|source| MeasurementError::io(path, source))?;
+    // A pipe or device in the place of a file would block or never end.
+    if !metadata.is_file() {
+        return Err(MeasurementError::whole(path, "not a regular file"));
+    }
+    let file = File::open(path).map_err(|source| MeasurementError::io(path, source))?;
+    Ok(Box::new(BufReader::with_capacity(1 << 16, file)))
+}
+
+/// Reads the data of a run; `path` is their file's name in messages.
+pub(super) fn read(
+    reader: Box<dyn BufRead>,
+    path: &Path,
+    format: Format,
+    budget: &mut Budget,
+) -> Result<RunData, MeasurementError> {
+    let mut lines = Lines::new(reader, path);
     match format {
         Format::Levels => levels(&mut lines, budget),
         Format::Edges => edges(&mut lines, budget),

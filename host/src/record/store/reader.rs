@@ -76,9 +76,9 @@ impl Integrity {
 }
 
 /// Reads a recording from its beginning to its last whole frame, over damaged places. Memory is bounded by one record.
-pub struct Reader {
+pub struct Reader<S = File> {
     path: PathBuf,
-    file: File,
+    file: S,
     records: LinearReader,
     metadata: Metadata,
     /// Where the next record starts.
@@ -129,13 +129,13 @@ enum Step {
     End,
 }
 
-impl std::fmt::Debug for Reader {
+impl<S> std::fmt::Debug for Reader<S> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Reader").field("path", &self.path).field("position", &self.position).finish_non_exhaustive()
     }
 }
 
-impl Reader {
+impl Reader<File> {
     /// Opens a recording and reads its metadata.
     ///
     /// # Errors
@@ -150,6 +150,16 @@ impl Reader {
         if length.len() == 0 {
             return Err(StoreError::not(path, "the file is empty: the recorder was stopped before its first frame"));
         }
+        Self::new(file, path)
+    }
+}
+
+impl<S: Read + Seek> Reader<S> {
+    /// Reads a recording from anything that can be read and sought, from its beginning; `path` is its name in messages.
+    ///
+    /// # Errors
+    /// As [`Reader::open`].
+    pub fn new(file: S, path: &Path) -> Result<Self, StoreError> {
         let options = LinearReaderOptions::default().with_validate_data_section_crc(true);
         let mut reader = Self {
             path: path.to_owned(),
