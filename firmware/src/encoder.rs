@@ -1,6 +1,6 @@
 //! The encoder: an atomic count that the pin's interrupt moves and the control interrupt reads.
 
-use crate::queues::EncoderEnd;
+use crate::queues::{EdgeRecord, EncoderEnd};
 use crate::shared::Shared;
 use portable_atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering};
 use twum_shared::Direction;
@@ -67,12 +67,13 @@ impl Encoder {
 pub struct EncoderInterrupt<'a> {
     shared: &'a Shared,
     queue: EncoderEnd<'a>,
+    streamed: u32,
 }
 
 impl<'a> EncoderInterrupt<'a> {
     /// Joins the interrupt to what it moves.
     pub const fn new(shared: &'a Shared, queue: EncoderEnd<'a>) -> Self {
-        Self { shared, queue }
+        Self { shared, queue, streamed: 0 }
     }
 
     /// One edge: the level after it, the direction pin, and the device clock's low 32 bits in µs. Bounded, and the whole
@@ -82,8 +83,12 @@ impl<'a> EncoderInterrupt<'a> {
         let encoder = &self.shared.encoder;
         encoder.count.fetch_add(encoder.increment(direction), Ordering::Relaxed);
         encoder.edges.fetch_add(1, Ordering::Relaxed);
-        let edge = Edge { time_us, level, direction };
-        if encoder.streaming.load(Ordering::Relaxed) && self.queue.edges.push(edge).is_err() {
+        if !encoder.streaming.load(Ordering::Relaxed) {
+            return;
+        }
+        let record = EdgeRecord { index: self.streamed, edge: Edge { time_us, level, direction } };
+        self.streamed = self.streamed.wrapping_add(1);
+        if self.queue.edges.push(record).is_err() {
             self.shared.lose_edge();
         }
     }

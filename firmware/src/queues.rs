@@ -31,6 +31,15 @@ pub struct WordRecord {
     pub word: u32,
 }
 
+/// An edge on its way to the host.
+#[derive(Clone, Copy, Debug)]
+pub struct EdgeRecord {
+    /// Index among the edges streamed since boot, those that found the queue full included (the low 32 bits).
+    pub index: u32,
+    /// The edge.
+    pub edge: Edge,
+}
+
 /// 128 ms of ticks.
 const TICKS: usize = 256;
 /// 1 s of words.
@@ -43,7 +52,7 @@ const EDGES: usize = 256;
 pub struct Queues {
     ticks: Mailbox<TickRecord, TICKS>,
     words: Mailbox<WordRecord, WORDS>,
-    edges: Mailbox<Edge, EDGES>,
+    edges: Mailbox<EdgeRecord, EDGES>,
 }
 
 /// The control interrupt's ends.
@@ -54,14 +63,14 @@ pub struct ControlEnds<'a> {
 
 /// The encoder interrupt's end.
 pub struct EncoderEnd<'a> {
-    pub(crate) edges: &'a Mailbox<Edge, EDGES>,
+    pub(crate) edges: &'a Mailbox<EdgeRecord, EDGES>,
 }
 
 /// The transmit task's ends.
 pub struct TransmitEnds<'a> {
     pub(crate) ticks: &'a Mailbox<TickRecord, TICKS>,
     pub(crate) words: &'a Mailbox<WordRecord, WORDS>,
-    pub(crate) edges: &'a Mailbox<Edge, EDGES>,
+    pub(crate) edges: &'a Mailbox<EdgeRecord, EDGES>,
 }
 
 impl Queues {

@@ -4,6 +4,7 @@ pub mod compare;
 pub mod demo;
 pub mod diagnose;
 pub mod identify;
+pub mod input;
 pub mod instruments;
 pub mod link;
 pub mod model;

@@ -177,6 +177,8 @@ mod tests {
         assert_eq!(parse("ADC=3?S"), Err(LineError::Unknown(0)));
         assert_eq!(parse("t,t,t,t,t,t,t,t,t"), Err(LineError::TooMany));
         assert_eq!(parse(&"t".repeat(65)), Err(LineError::TooLong));
+        // The longest line there may be: spaces around a word are nothing.
+        assert_eq!(parse(&std::format!("{:64}", "t")).unwrap().as_slice(), [Command::HardwareMode]);
     }
 
     #[test]

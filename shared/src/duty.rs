@@ -102,6 +102,31 @@ mod tests {
     }
 
     #[test]
+    fn a_ratio_is_rounded_to_the_nearest_part_and_nothing_of_nothing_is_off() {
+        // 4/7 of 32768 is 18724.57; 2/7 is 9362.29.
+        assert_eq!((Duty::from_ratio(4, 7).raw(), Duty::from_ratio(2, 7).raw()), (18_725, 9_362));
+        assert_eq!((Duty::from_ratio(0, 0), Duty::from_ratio(5, 0)), (Duty::OFF, Duty::OFF));
+        assert_eq!((Duty::from_ratio(0, 7), Duty::from_ratio(8, 7)), (Duty::OFF, Duty::FULL));
+        assert!(Duty::OFF.is_off() && !Duty::FULL.is_off() && !Duty::from_ratio(1, 32_768).is_off());
+        assert_eq!(u16::from(Duty::from_ratio(4, 7)), 18_725);
+    }
+
+    #[test]
+    fn counts_are_rounded_to_the_nearest() {
+        // A quarter of 6 is 1.5, of 5 is 1.25.
+        assert_eq!((Duty::from_ratio(1, 4).on_counts(6), Duty::from_ratio(1, 4).on_counts(5)), (2, 1));
+        assert_eq!(Duty::from_ratio(1, 4).on_counts(0), 0);
+        assert_eq!(Duty::FULL.on_counts(u32::MAX), u32::MAX);
+    }
+
+    #[test]
+    fn clockwise_is_the_pin_high_and_positive() {
+        assert!(Direction::Cw.pin_high() && !Direction::Ccw.pin_high());
+        assert_eq!((Direction::from_pin(true), Direction::from_pin(false)), (Direction::Cw, Direction::Ccw));
+        assert_eq!((Direction::Cw.sign(), Direction::Ccw.sign()), (1, -1));
+    }
+
+    #[test]
     fn off_is_off_and_the_smallest_duty_is_not() {
         assert_eq!(Duty::OFF.on_counts(16383), 0);
         assert_eq!(Duty::try_from(1).map(|d| d.on_counts(32)), Ok(1));

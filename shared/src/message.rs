@@ -214,7 +214,7 @@ pub struct BitsBlock {
 /// A block of encoder edges.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EdgesBlock {
-    /// Index of the first edge since the stream was switched on; a jump is a loss.
+    /// Index of the first edge among all that were streamed since boot; a jump is a loss.
     pub first_edge: u64,
     /// The edges. Their times are the low 32 bits of the device clock; the frame's own time resolves the rest.
     pub edges: Vec<Edge, BLOCK_EDGES>,

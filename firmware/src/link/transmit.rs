@@ -1,9 +1,8 @@
-use crate::queues::{TickRecord, TransmitEnds, WordRecord};
+use crate::queues::{EdgeRecord, TickRecord, TransmitEnds, WordRecord};
 use crate::shared::{Event, Shared};
 use embassy_time::{Duration, Instant, Timer};
 use embedded_io_async::Write;
 use heapless::{String, Vec};
-use twum_shared::encoder::Edge;
 use twum_shared::frame::{self, Header, MAX_ENCODED};
 use twum_shared::message::{
     BLOCK_EDGES, BLOCK_SAMPLES, BitsBlock, ControlBlock, DeviceMessage, EdgesBlock, Identity, ResetCause,
@@ -32,7 +31,7 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
     let mut transmitter = Transmitter { shared, port, sequence: 0 };
     // Ends whatever a boot loader wrote, so that our first frame stands alone.
     let _ = transmitter.port.write_all(&[0]).await;
-    let mut collector = Collector { queues, pending: None, edges_sent: 0, patience: [PATIENCE_TURNS; 3] };
+    let mut collector = Collector::new(queues);
     let mut lost_seen = 0;
     loop {
         while let Some(event) = shared.events.pull() {
@@ -46,7 +45,7 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
             lost_seen = lost;
         }
         collector.wait_a_turn();
-        while let Some(message) = collector.next_block(shared) {
+        while let Some(message) = collector.next_block() {
             transmitter.send(message).await;
         }
         if let Some(status) = shared.status.try_take() {
@@ -104,18 +103,23 @@ impl<W: Write> Transmitter<'_, W> {
 struct Collector<'a> {
     queues: TransmitEnds<'a>,
     pending: Option<TickRecord>,
-    edges_sent: u64,
+    /// Index of the edge after the last that was taken.
+    next_edge: u64,
     /// Turns for which ticks, words and edges may still wait for their block to fill.
     patience: [u8; 3],
 }
 
-impl Collector<'_> {
+impl<'a> Collector<'a> {
+    const fn new(queues: TransmitEnds<'a>) -> Self {
+        Self { queues, pending: None, next_edge: 0, patience: [PATIENCE_TURNS; 3] }
+    }
+
     fn wait_a_turn(&mut self) {
         self.patience = self.patience.map(|turns| turns.saturating_sub(1));
     }
 
     /// The next block that is full or has waited long enough.
-    fn next_block(&mut self, shared: &Shared) -> Option<DeviceMessage> {
+    fn next_block(&mut self) -> Option<DeviceMessage> {
         let [ticks, words, edges] = self.patience.map(|turns| turns == 0);
         if ticks || self.queues.ticks.len() >= BLOCK_SAMPLES {
             self.patience[0] = PATIENCE_TURNS;
@@ -131,7 +135,7 @@ impl Collector<'_> {
         }
         if edges || self.queues.edges.len() >= BLOCK_EDGES {
             self.patience[2] = PATIENCE_TURNS;
-            if let Some(block) = self.edges_block(shared) {
+            if let Some(block) = self.edges_block() {
                 return Some(DeviceMessage::Edges(block));
             }
         }
@@ -172,16 +176,77 @@ impl Collector<'_> {
         Some(block)
     }
 
-    fn edges_block(&mut self, shared: &Shared) -> Option<EdgesBlock> {
-        let first = self.queues.edges.pull()?;
-        let mut edges: Vec<Edge, BLOCK_EDGES> = Vec::new();
-        let _ = edges.push(first);
+    fn edges_block(&mut self) -> Option<EdgesBlock> {
+        let EdgeRecord { index, edge } = self.queues.edges.pull()?;
+        let first_edge = self.next_edge.wrapping_add(u64::from(index.wrapping_sub(self.next_edge as u32)));
+        let mut edges = Vec::new();
+        let _ = edges.push(edge);
         while !edges.is_full() {
-            let Some(edge) = self.queues.edges.pull() else { break };
+            // A block holds consecutive edges: what follows a loss opens the next one.
+            let next = first_edge.wrapping_add(edges.len() as u64) as u32;
+            if self.queues.edges.peek().is_none_or(|record| record.index != next) {
+                break;
+            }
+            let Some(EdgeRecord { edge, .. }) = self.queues.edges.pull() else { break };
             let _ = edges.push(edge);
         }
-        let first_edge = self.edges_sent.wrapping_add(u64::from(shared.lost_edges()));
-        self.edges_sent = self.edges_sent.wrapping_add(edges.len() as u64);
+        self.next_edge = first_edge.wrapping_add(edges.len() as u64);
         Some(EdgesBlock { first_edge, edges })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use crate::encoder::EncoderInterrupt;
+    use crate::queues::Queues;
+    use twum_shared::Direction;
+
+    /// Index and time of every edge the host is told of.
+    fn told(collector: &mut Collector<'_>) -> std::vec::Vec<(u64, u32)> {
+        let mut told = std::vec::Vec::new();
+        while let Some(EdgesBlock { first_edge, edges }) = collector.edges_block() {
+            told.extend((first_edge..).zip(edges.iter().map(|edge| edge.time_us)));
+        }
+        told
+    }
+
+    #[test]
+    fn a_lost_edge_shows_where_it_was_lost() {
+        let (shared, mut queues) = (Shared::new(), Queues::new());
+        let (_, end, ends) = queues.split();
+        let (mut interrupt, mut collector) = (EncoderInterrupt::new(&shared, end), Collector::new(ends));
+        shared.encoder.set_streaming(true);
+        // An edge's time is its index, so a wrong index shows.
+        for index in 0..300 {
+            interrupt.edge(index % 2 == 0, Direction::Cw, index);
+        }
+        let first: std::vec::Vec<(u64, u32)> = told(&mut collector);
+        for index in 300..310 {
+            interrupt.edge(index % 2 == 0, Direction::Cw, index);
+        }
+        let then = told(&mut collector);
+        assert_eq!((first.len(), then.len(), shared.lost_edges()), (256, 10, 44));
+        for (index, time_us) in first.into_iter().chain(then) {
+            assert_eq!(index, u64::from(time_us));
+        }
+    }
+
+    #[test]
+    fn the_index_goes_on_beyond_32_bits() {
+        let (shared, mut queues) = (Shared::new(), Queues::new());
+        let (_, _, ends) = queues.split();
+        let mut collector = Collector::new(ends);
+        collector.next_edge = u64::from(u32::MAX) - 1;
+        let edge = twum_shared::encoder::Edge { time_us: 0, level: true, direction: Direction::Cw };
+        for index in [u32::MAX - 1, u32::MAX, 0, 2] {
+            assert!(collector.queues.edges.push(EdgeRecord { index, edge }).is_ok());
+        }
+        let blocks: std::vec::Vec<(u64, usize)> = core::iter::from_fn(|| collector.edges_block())
+            .map(|block| (block.first_edge, block.edges.len()))
+            .collect();
+        assert_eq!(blocks, [(u64::from(u32::MAX) - 1, 3), ((1 << 32) + 2, 1)]);
+        assert_eq!(shared.lost_edges(), 0);
     }
 }

@@ -111,7 +111,7 @@ fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
     let motor = match (&args.motor, measurement.motor_file()) {
         (Some(named), _) => Motor::load(named)?,
         (None, Some(file)) => Motor::load(&file.to_string_lossy())?,
-        (None, None) => Motor::load(&measurement.motor)?,
+        (None, None) => Motor::shipped(&measurement.motor)?,
     };
     let flavour = match args.flavour {
         FlavourArg::Thesis => Flavour::Thesis,

@@ -61,12 +61,15 @@ pub fn run(args: Args) -> Result<ExitCode> {
         measurements.push(Measurement::load(folder).with_context(|| format!("reading {}", folder.display()))?);
     }
     let flavour = if args.flavour == FlavourArg::Thesis { Flavour::Thesis } else { Flavour::Physical };
-    let name = args.motor.clone().unwrap_or_else(|| match measurements[0].motor_file() {
-        Some(path) => path.to_string_lossy().into_owned(),
-        None => measurements[0].motor.clone(),
-    });
+    let own = &measurements[0];
     // An ordinary motor has no motor file.
-    let motor_file = if name == "inertial" { None } else { Some(Motor::load(&name)?) };
+    let motor_file = match (&args.motor, own.motor_file()) {
+        (Some(name), _) if name == "inertial" => None,
+        (Some(name), _) => Some(Motor::load(name)?),
+        (None, Some(path)) => Some(Motor::load(&path.to_string_lossy())?),
+        (None, None) if own.motor == "inertial" => None,
+        (None, None) => Some(Motor::shipped(&own.motor)?),
+    };
     let bar = ProgressBar::new(100)
         .with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
     let options = Options {

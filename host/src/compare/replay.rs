@@ -134,17 +134,17 @@ impl Replay {
             self.report.runs += 1;
         } else if block.first_tick != next {
             self.report.gaps += 1;
-            self.report.missing += block.first_tick.saturating_sub(next);
+            self.report.missing = self.report.missing.saturating_add(block.first_tick.saturating_sub(next));
         } else if let Some((tick, state)) = self.reached {
             self.compare_state(tick, block, state);
         }
         let mut state = block.state;
         for (index, sample) in block.samples.iter().enumerate() {
-            let tick = block.first_tick + index as u64;
-            let time_us = block.first_us + index as u64 * u64::from(config.spec().period_us);
+            let tick = block.first_tick.wrapping_add(index as u64);
+            let time_us = block.first_us.wrapping_add(index as u64 * u64::from(config.spec().period_us));
             self.compare(&config, &mut state, tick, time_us, sample);
         }
-        self.reached = Some((block.first_tick + block.samples.len() as u64, state));
+        self.reached = Some((block.first_tick.wrapping_add(block.samples.len() as u64), state));
     }
 
     fn compare(&mut self, config: &Config, state: &mut State, tick: u64, time_us: u64, sample: &ControlSample) {

@@ -104,7 +104,8 @@ fn line(path: &Path, line: usize, message: impl Into<String>) -> ReadError {
 }
 
 fn text(path: &Path) -> Result<String, ReadError> {
-    let bytes = std::fs::read(path).map_err(|cause| ReadError::Io { path: path.to_owned(), cause })?;
+    let bytes = crate::input::bytes(path, crate::input::MEASURED)
+        .map_err(|cause| ReadError::Io { path: path.to_owned(), cause })?;
     String::from_utf8(bytes)
         .map(|t| t.trim_start_matches('\u{feff}').to_owned())
         .map_err(|_| file(path, "is not text; expected CSV or Touchstone"))

@@ -19,6 +19,7 @@
 //! ```
 
 use super::parameters::{Flavour, ParameterError, Parameters, SPECS};
+use crate::input;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -71,6 +72,12 @@ pub enum MotorError {
         file: String,
         /// Why.
         source: std::io::Error,
+    },
+    /// A name that no shipped motor has.
+    #[error("no motor `{name}` is shipped ({} are); name a file with a `/` in it, or ending in .toml", shipped())]
+    NotShipped {
+        /// The name.
+        name: String,
     },
     /// Not TOML.
     #[error("motor file {file}, line {line}: {message}")]
@@ -280,22 +287,33 @@ impl Motor {
         reader.motor(&root)
     }
 
+    /// A shipped motor by its name, and nothing else: a name in somebody's data must not open a file.
+    ///
+    /// # Errors
+    /// [`MotorError::NotShipped`] for any other name.
+    pub fn shipped(name: &str) -> Result<Self, MotorError> {
+        match SHIPPED.iter().find(|(shipped, _)| *shipped == name) {
+            Some((name, text)) => Self::parse(name, text),
+            None => Err(MotorError::NotShipped { name: name.into() }),
+        }
+    }
+
     /// A shipped motor by its name, or a motor file by its path.
     ///
     /// # Errors
     /// When there is neither, or the file will not do.
     pub fn load(name_or_path: &str) -> Result<Self, MotorError> {
-        if let Some((name, text)) = SHIPPED.iter().find(|(name, _)| *name == name_or_path) {
-            return Self::parse(name, text);
+        if SHIPPED.iter().any(|(name, _)| *name == name_or_path) {
+            return Self::shipped(name_or_path);
         }
-        let text = std::fs::read_to_string(Path::new(name_or_path))
+        let text = input::text(Path::new(name_or_path), input::WRITTEN)
             .map_err(|source| MotorError::Read { file: name_or_path.into(), source })?;
         Self::parse(name_or_path, &text)
     }
 
     /// The 30 mm PCBMotor.
     pub fn pcbmotor_30mm() -> Self {
-        Self::load("pcbmotor-30mm").expect("the shipped file is checked by a test")
+        Self::shipped("pcbmotor-30mm").expect("the shipped file is checked by a test")
     }
 
     /// The parameters in a flavour.

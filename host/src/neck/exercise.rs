@@ -201,8 +201,8 @@ impl Exercise {
         if !path.exists() && path.extension().is_none() {
             return Err(ExerciseError::Unknown(name_or_path.to_owned()));
         }
-        let text =
-            std::fs::read_to_string(path).map_err(|source| ExerciseError::Read { path: path.to_owned(), source })?;
+        let text = crate::input::text(path, crate::input::WRITTEN)
+            .map_err(|source| ExerciseError::Read { path: path.to_owned(), source })?;
         Self::parse(&text, path)
     }
 

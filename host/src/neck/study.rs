@@ -144,8 +144,8 @@ impl Study {
     /// # Errors
     /// Names the file, the line and the key.
     pub fn load(path: &Path) -> Result<Self, StudyError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| StudyError::Read { path: path.to_owned(), source })?;
+        let text = crate::input::text(path, crate::input::WRITTEN)
+            .map_err(|source| StudyError::Read { path: path.to_owned(), source })?;
         Self::parse(&text, path)
     }
 

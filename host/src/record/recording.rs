@@ -100,7 +100,7 @@ pub struct ControlSegment {
 impl ControlSegment {
     /// When the tick at `index` of the segment was due, µs.
     pub fn time_us(&self, index: usize) -> u64 {
-        self.first_us + index as u64 * u64::from(self.period_us)
+        self.first_us.saturating_add((index as u64).saturating_mul(self.period_us.into()))
     }
 }
 
@@ -263,7 +263,7 @@ impl Builder {
         match item {
             Item::Device { session, host_time_ns, header, message } => {
                 let end_us = header.time_us;
-                let offset_ns = host_time_ns as i64 - end_us.saturating_mul(1000) as i64;
+                let offset_ns = (host_time_ns as i64).wrapping_sub(end_us.saturating_mul(1000) as i64);
                 if session as usize == self.recording.sessions.len() {
                     self.recording.sessions.push(Session { offset_ns, end_us });
                     (self.session, self.configuration, self.aligned) = (session, None, false);
@@ -350,7 +350,7 @@ impl Builder {
     fn bits(&mut self, block: &BitsBlock) {
         let session = self.session;
         let follows = |segment: &&mut BitsSegment| {
-            let next = segment.first_sample + segment.levels.len() as u64;
+            let next = segment.first_sample.wrapping_add(segment.levels.len() as u64);
             segment.session == session && next == block.first_sample && block.first_sample > 0
         };
         let levels = block.words.iter().enumerate().flat_map(|(index, word)| {
@@ -379,7 +379,7 @@ impl Builder {
                 (Some(last), Some(first)) => last.level != first.level,
                 _ => true,
             };
-            let next = segment.first_edge + segment.edges.len() as u64;
+            let next = segment.first_edge.wrapping_add(segment.edges.len() as u64);
             segment.session == session && next == block.first_edge && alternates
         };
         if let Some(segment) = self.recording.edges.last_mut().filter(follows) {
@@ -396,7 +396,7 @@ impl Builder {
         let period_us = control.map_or(500, |control| control.period_us);
         let duty_steps = control.map_or(0, |control| control.duty_steps);
         let follows = |segment: &&mut ControlSegment| {
-            let next = segment.first_tick + segment.samples.len() as u64;
+            let next = segment.first_tick.wrapping_add(segment.samples.len() as u64);
             segment.session == session
                 && next == block.first_tick
                 && block.first_tick > 0

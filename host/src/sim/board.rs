@@ -82,8 +82,8 @@ pub enum Disturbance {
     ControlHung,
     /// The tasks no longer run: the hardware watchdog has to act.
     TasksHung,
-    /// A panic: the handler switches off, and the board restarts.
-    Panic,
+    /// The board restarts for this reason: a panic, whose handler switches off first; a supply that sags; the reset pin.
+    Reset(ResetCause),
     /// The driver board's power is cycled.
     DriverPowerCycled,
 }
@@ -321,6 +321,11 @@ impl Board {
         self.angle_rad
     }
 
+    /// The rotor's position as the firmware counts it, counts.
+    pub fn count(&self) -> i32 {
+        self.firmware.shared.encoder.count()
+    }
+
     /// The motor, to change it while it runs.
     pub fn motor(&mut self) -> &mut dyn SimulatedMotor {
         self.motor.as_mut()
@@ -335,7 +340,7 @@ impl Board {
             Disturbance::Fault(fault) => self.firmware.shared.request_fault(fault),
             Disturbance::ControlHung => self.control_hung = true,
             Disturbance::TasksHung => self.tasks_hung = true,
-            Disturbance::Panic => self.restart(ResetCause::Panic),
+            Disturbance::Reset(cause) => self.restart(cause),
             Disturbance::DriverPowerCycled => self.driver = DriverBoard::new(self.driver.health),
         }
     }

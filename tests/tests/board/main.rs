@@ -2,6 +2,8 @@
 
 mod bench;
 mod chaos;
+mod closed_loop;
+mod document;
 mod faults;
 mod link;
 mod recording;

@@ -115,7 +115,8 @@ impl Setup {
     pub fn load(folder: &Path) -> Result<Self, FrictionError> {
         let path = folder.join("friction.toml");
         let name = path.display().to_string();
-        let text = std::fs::read_to_string(&path).map_err(|cause| FrictionError::Io { path: name.clone(), cause })?;
+        let text = crate::input::text(&path, crate::input::WRITTEN)
+            .map_err(|cause| FrictionError::Io { path: name.clone(), cause })?;
         let setup: Self = toml::from_str(&text)
             .map_err(|e| FrictionError::Setup { path: name.clone(), message: e.to_string().trim().to_owned() })?;
         setup.check().map_err(|message| FrictionError::Setup { path: name, message })?;

@@ -153,7 +153,7 @@ fn read(path: &Path, setup: &Setup) -> Result<Vec<f64>, FrictionError> {
 
 /// CSV: a column `torque_nm` (with or without `time_s`), comments with `#`; a bare column of numbers is taken as torque.
 fn read_csv(path: &Path, setup: &Setup) -> Result<Vec<f64>, String> {
-    let text = std::fs::read_to_string(path).map_err(|e| e.to_string())?;
+    let text = crate::input::text(path, crate::input::MEASURED).map_err(|e| e.to_string())?;
     let mut column: Option<usize> = None;
     let mut time: Option<usize> = None;
     let mut values = Vec::new();
@@ -204,7 +204,8 @@ fn read_csv(path: &Path, setup: &Setup) -> Result<Vec<f64>, String> {
 
 /// XLSX as the thesis had it: column B of the first sheet, headings above the first number skipped.
 fn read_xlsx(path: &Path) -> Result<Vec<f64>, String> {
-    let mut book: calamine::Xlsx<_> = calamine::open_workbook(path).map_err(|e: calamine::XlsxError| e.to_string())?;
+    let bytes = crate::input::bytes(path, crate::input::MEASURED).map_err(|e| e.to_string())?;
+    let mut book = calamine::Xlsx::new(std::io::Cursor::new(bytes)).map_err(|e| e.to_string())?;
     let sheet =
         book.worksheet_range_at(0).ok_or_else(|| "the workbook has no sheet".to_owned())?.map_err(|e| e.to_string())?;
     let mut values = Vec::new();

@@ -153,7 +153,7 @@ impl Window {
     fn of(recording: &Recording, index: usize) -> Self {
         let run = &recording.runs[index];
         let session_end_us = recording.sessions.get(run.session as usize).map_or(0, |session| session.end_us);
-        let coasted_us = run.end.map_or(session_end_us, |(_, end_us)| end_us + COAST_US);
+        let coasted_us = run.end.map_or(session_end_us, |(_, end_us)| end_us.saturating_add(COAST_US));
         let next = recording.runs.get(index + 1).filter(|next| next.session == run.session);
         let stop_us = coasted_us.min(session_end_us).min(next.map_or(u64::MAX, |next| next.start_us));
         Self { session: run.session, start_us: run.start_us, stop_us }
@@ -241,7 +241,7 @@ fn edges_part(segment: &EdgesSegment, window: &Window, is_last: bool) -> Option<
 fn bits_part(segment: &BitsSegment, window: &Window) -> Option<RunData> {
     let index_at = |time_us: u64| time_us.saturating_sub(segment.first_us).div_ceil(BIT_PERIOD_US) as usize;
     let levels = segment.levels.get(index_at(window.start_us)..index_at(window.stop_us).min(segment.levels.len()))?;
-    let first_us = segment.first_us + index_at(window.start_us) as u64 * BIT_PERIOD_US;
+    let first_us = segment.first_us.saturating_add(index_at(window.start_us) as u64 * BIT_PERIOD_US);
     (levels.len() > 1).then(|| RunData::Levels {
         start_us: window.time_us(first_us),
         period_us: BIT_PERIOD_US as f64,

@@ -1,8 +1,9 @@
 //! A controller as people write it, turned into the fixed-point one that runs.
 
 use super::{ControlGains, ControlSpec};
+use crate::input;
 use fixed::types::{I16F48, I32F32};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use thiserror::Error;
 use twum_shared::step::{Config, ConfigError, ConfigSpec, DriveLaw};
 
@@ -44,7 +45,7 @@ impl ControlSpec {
             "default" => Ok(Self::Default),
             path => {
                 let file = |reason: String| ControlError::File { path: path.into(), reason };
-                let text = std::fs::read_to_string(path).map_err(|error| {
+                let text = input::text(Path::new(path), input::WRITTEN).map_err(|error| {
                     file(format!("{error}; a controller is `thesis`, `default` or a TOML file of gains"))
                 })?;
                 let gains: ControlGains = toml::from_str(&text).map_err(|error| file(error.to_string()))?;

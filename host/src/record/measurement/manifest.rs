@@ -5,15 +5,13 @@ use super::{
     ControlGains, ControlSpec, DEFAULT_EDGES_PER_REV, DEFAULT_PWM_HZ, Direction, Format, MANIFEST, MAX_RUNS,
     Measurement, MeasurementError, Run, RunKind, packed,
 };
+use crate::input;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::io::BufRead;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 use toml::Spanned;
-
-/// Largest `measurement.toml` accepted, in bytes.
-const MAX_MANIFEST_BYTES: u64 = 4 << 20;
 
 #[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -261,12 +259,7 @@ struct Text {
 impl Text {
     fn read(folder: &Path) -> Result<Self, MeasurementError> {
         let path = folder.join(MANIFEST);
-        let metadata = std::fs::metadata(&path).map_err(|source| MeasurementError::io(&path, source))?;
-        if !metadata.is_file() || metadata.len() > MAX_MANIFEST_BYTES {
-            let message = format!("not a regular file of at most {} MiB", MAX_MANIFEST_BYTES >> 20);
-            return Err(MeasurementError::whole(&path, message));
-        }
-        let bytes = std::fs::read(&path).map_err(|source| MeasurementError::io(&path, source))?;
+        let bytes = input::bytes(&path, input::WRITTEN).map_err(|source| MeasurementError::io(&path, source))?;
         let text = String::from_utf8(bytes).map_err(|error| {
             let (line, column) = line_column(error.as_bytes(), error.utf8_error().valid_up_to());
             MeasurementError::at(&path, line, column, "not UTF-8 text")
