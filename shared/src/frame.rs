@@ -131,7 +131,6 @@ pub fn decode<M: Message>(block: &mut [u8]) -> Result<(Header, M), FrameError> {
 #[derive(Clone, Debug)]
 pub struct Decoder {
     block: heapless::Vec<u8, MAX_ENCODED>,
-    overflowed: bool,
 }
 
 impl Default for Decoder {
@@ -143,20 +142,20 @@ impl Default for Decoder {
 impl Decoder {
     /// A decoder at the start of a stream, or anywhere in one.
     pub const fn new() -> Self {
-        Self { block: heapless::Vec::new(), overflowed: false }
+        Self { block: heapless::Vec::new() }
     }
 
     /// Takes one byte; gives a frame, or the error of a broken one, at each separator that ends something.
     pub fn push<M: Message>(&mut self, byte: u8) -> Option<Result<(Header, M), FrameError>> {
         if byte != 0 {
-            self.overflowed |= self.block.push(byte).is_err();
+            // A full block is too long for a frame as it is: what does not fit changes nothing.
+            let _ = self.block.push(byte);
             return None;
         }
-        let overflowed = core::mem::take(&mut self.overflowed);
         if self.block.is_empty() {
             return None;
         }
-        let result = if overflowed { Err(FrameError::TooLong) } else { decode(&mut self.block) };
+        let result = decode(&mut self.block);
         self.block.clear();
         Some(result)
     }
@@ -304,6 +303,16 @@ mod tests {
         block.truncate(encoded + 1);
         assert_eq!(decoded::<DeviceMessage>(&block), [Err(FrameError::Version(2))]);
         assert_eq!(decoded::<DeviceMessage>(&framed(1, &HostMessage::Stop)), [Err(FrameError::Kind(b'H'))]);
+    }
+
+    #[test]
+    fn the_longest_frame_just_fits() {
+        // COBS adds a byte to every 254 begun, and a separator ends it.
+        assert_eq!(MAX_ENCODED, cobs::max_encoding_length(MAX_PLAIN) + 1);
+        let mut block = std::vec![0xFF; MAX_ENCODED - 1];
+        assert_ne!(decode::<DeviceMessage>(&mut block), Err(FrameError::TooLong));
+        block = std::vec![0xFF; MAX_ENCODED];
+        assert_eq!(decode::<DeviceMessage>(&mut block), Err(FrameError::TooLong));
     }
 
     #[test]

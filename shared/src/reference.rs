@@ -132,7 +132,7 @@ fn ramp(rate: i32, limit: u32, elapsed_us: u64) -> Target {
     let travelled = u64::from(rate.unsigned_abs()).saturating_mul(elapsed_us) / 1_000_000;
     let done = travelled >= u64::from(limit);
     let distance = travelled.min(u64::from(limit)) as i64;
-    Target { position: saturated(if rate < 0 { -distance } else { distance }), rate: if done { 0 } else { rate } }
+    Target { position: saturated(distance * i64::from(rate.signum())), rate: if done { 0 } else { rate } }
 }
 
 /// 2^64 / (2π·10^12) × 10^4: what one (µrad/s)·µs adds to a phase of 2^64 a turn, scaled to keep its digits.
@@ -272,6 +272,9 @@ mod tests {
         assert_eq!(Reference::Sine { amplitude: i32::MIN, omega_urad_s: 1 }.validate(), Err(ReferenceError::Position));
         let fast = Reference::Sine { amplitude: 1, omega_urad_s: 100_000_001 };
         assert_eq!(fast.validate(), Err(ReferenceError::Frequency));
+        let fastest = Reference::Sine { amplitude: 1 << 24, omega_urad_s: 100_000_000 };
+        assert_eq!(fastest.validate(), Ok(()));
+        assert_eq!(Reference::Ramp { rate: 0, limit: 9 }.at(1_000_000), Target { position: 0, rate: 0 });
         assert_eq!(Reference::Path { start: 0, way_points: Vec::new() }.validate(), Err(ReferenceError::Empty));
         let jump = Vec::from_slice(&[WayPoint { position: 1, duration_us: 0 }]).unwrap();
         assert_eq!(Reference::Path { start: 0, way_points: jump }.validate(), Err(ReferenceError::NoTime(0)));
