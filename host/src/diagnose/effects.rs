@@ -170,7 +170,8 @@ pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
             name: "contact-stiffening",
             says: "the contact takes up the speed difference softly: the rotor approaches the wave's speed slowly",
             equation: "drive torque saturates within a slip band (s₀ + s)·ω_free instead of s₀·ω_free (contact force ∝ δⁿ)",
-            shapes: vec![one(P::SlipExtra, 0.5, 0.05)],
+            // Secants: a wide band is far from what a narrow one suggests.
+            shapes: vec![one(P::SlipExtra, 0.5, 0.05), one(P::SlipExtra, 0.3, 0.3), one(P::SlipExtra, 1.0, 1.0)],
             reported: vec![size("slip_band_excess", "1", P::SlipExtra, 0.0, 5.0)],
             conflicts: &["high-duty-saturation", "stribeck-friction"],
             next_experiment: "edge timestamps (format edges) of starts at full duty: the approach to the final speed shows the band",

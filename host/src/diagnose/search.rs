@@ -150,7 +150,8 @@ pub fn baseline_free(p: &Parameters, coasting: bool) -> Vec<Free> {
         Free { parameter: P::Latency, scale: 2e-3, bounds: (-5e-3, 1e-2) },
     ];
     if !coasting {
-        free.insert(2, Free { parameter: P::OffDeceleration, scale: a, bounds: (0.02 * a, 20.0 * a) });
+        // Down to a rotor that coasts: whether the wave's absence brakes at all is the motor's own affair.
+        free.insert(2, Free { parameter: P::OffDeceleration, scale: a, bounds: (0.0, 20.0 * a) });
     }
     free
 }
