@@ -11,6 +11,12 @@ use twum_shared::step::{Config, ConfigSpec, Inputs, State, step};
 const DELAYS: [usize; 12] = [1, 2, 3, 4, 6, 8, 10, 15, 20, 30, 40, 60];
 /// Smallest RMS difference worth a word, in duty steps: below it the two are the same number printed twice.
 const SAME: f64 = 0.02;
+/// What the target's rate, which is not logged, can be read off whole counts to, in counts/s: feed-forward is known no better.
+const RATE_ERROR: f64 = 3.0;
+/// Half the window over which the rate is read, in s.
+const RATE_WINDOW_S: f64 = 0.2;
+/// A target that moves more counts than this in a tick jumps; a jump has no rate.
+const JUMP_COUNTS: f64 = 3.0;
 
 /// What recomputing the controller shows.
 #[derive(Debug, Clone, Default)]
@@ -35,6 +41,7 @@ struct Recomputed {
 pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) -> Parity {
     let mut out = Parity::default();
     let mut all = Vec::new();
+    let mut same = SAME;
     for run in runs {
         let RunData::Control(rows) = &run.data else { continue };
         let Some(control) = &run.control else {
@@ -60,12 +67,13 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
         }
         if spec.feed_forward != ConfigSpec::THESIS.feed_forward {
             out.notes.push(format!(
-                "run {}: the target's rate is not logged, its feed-forward is taken from differences",
+                "run {}: the target's rate is not logged; for its feed-forward it is read off the target to about {RATE_ERROR} counts/s",
                 run.id
             ));
         }
         if let Some(r) = recompute(rows, spec) {
             all.push(r);
+            same = same.max(RATE_ERROR * spec.feed_forward.to_num::<f64>().abs());
         }
     }
     if all.is_empty() {
@@ -80,7 +88,7 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     }
     let rms = (square / f64::max(count, 1.0)).sqrt();
     out.rms_steps = Some(rms);
-    if rms < SAME {
+    if rms < same {
         return out;
     }
     // Pieces of a second; every other one is held out.
@@ -208,7 +216,7 @@ fn around(name: &str, value: f64, variance: f64) -> Estimate {
 
 fn recompute(rows: &[ControlRow], spec: ConfigSpec) -> Option<Recomputed> {
     let config = Config::try_from(spec).ok()?;
-    let period = f64::from(spec.period_us) * 1e-6;
+    let rates = target_rates(rows, f64::from(spec.period_us) * 1e-6);
     let signal = |spec: ConfigSpec, delay: usize| -> Option<Vec<f64>> {
         let config = Config::try_from(spec).ok()?;
         let mut state = State::REST;
@@ -216,8 +224,7 @@ fn recompute(rows: &[ControlRow], spec: ConfigSpec) -> Option<Recomputed> {
             (0..rows.len())
                 .map(|k| {
                     let row = &rows[k.saturating_sub(delay)];
-                    let rate =
-                        if k > 0 { (row.target - rows[k.saturating_sub(delay + 1)].target) / period } else { 0.0 };
+                    let rate = rates[k.saturating_sub(delay)];
                     let inputs =
                         Inputs { target: row.target as i32, target_rate: rate as i32, position: row.position as i32 };
                     f64::from(step(&config, &mut state, inputs).u) / 65_536.0
@@ -247,4 +254,64 @@ fn recompute(rows: &[ControlRow], spec: ConfigSpec) -> Option<Recomputed> {
         delayed: DELAYS.iter().map(|d| signal(spec, *d)).collect::<Option<Vec<_>>>()?,
         parts: [only(true, false, false)?, only(false, true, false)?, only(false, false, true)?],
     })
+}
+
+/// Rate of the target at every row in counts/s: a cubic through the counts around it, jumps taken out.
+fn target_rates(rows: &[ControlRow], period_s: f64) -> Vec<f64> {
+    const EVERY: usize = 20;
+    let mut smooth = vec![0.0; rows.len()];
+    for k in 1..rows.len() {
+        let step = rows[k].target - rows[k - 1].target;
+        smooth[k] = smooth[k - 1] + if step.abs() > JUMP_COUNTS { 0.0 } else { step };
+    }
+    let half = ((RATE_WINDOW_S / period_s) as usize).max(4);
+    let at = |k: usize| -> f64 {
+        let (from, to) = (k.saturating_sub(half), (k + half + 1).min(rows.len()));
+        let mut normal = nalgebra::Matrix4::<f64>::zeros();
+        let mut right = nalgebra::Vector4::<f64>::zeros();
+        for i in (from..to).step_by(4) {
+            let x = (i as f64 - k as f64) / half as f64;
+            let row = nalgebra::Vector4::new(1.0, x, x * x, x * x * x);
+            normal += row * row.transpose();
+            right += row * smooth[i];
+        }
+        normal.lu().solve(&right).map_or(0.0, |c| c[1] / (half as f64 * period_s))
+    };
+    let nodes: Vec<f64> = (0..rows.len().div_ceil(EVERY) + 1).map(|n| at((n * EVERY).min(rows.len() - 1))).collect();
+    (0..rows.len())
+        .map(|k| {
+            let f = (k % EVERY) as f64 / EVERY as f64;
+            nodes[k / EVERY] * (1.0 - f) + nodes[k / EVERY + 1] * f
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::measurement::Direction;
+
+    /// Against the derivative of the sine itself; fails if whole counts are differenced tick by tick.
+    #[test]
+    fn the_rate_is_read_off_whole_counts() {
+        let (amplitude, omega, period) = (89.0, 1.257, 5e-4);
+        let rows: Vec<ControlRow> = (0..12_000)
+            .map(|k| ControlRow {
+                time_us: f64::from(k) * 500.0,
+                target: (amplitude * (omega * f64::from(k) * period).sin()).trunc(),
+                position: 0.0,
+                u: 0.0,
+                duty: 0.0,
+                direction: Direction::Cw,
+            })
+            .collect();
+        let rates = target_rates(&rows, period);
+        let square: f64 = rates
+            .iter()
+            .enumerate()
+            .map(|(k, r)| (r - amplitude * omega * (omega * k as f64 * period).cos()).powi(2))
+            .sum();
+        let rms = (square / rates.len() as f64).sqrt();
+        assert!(rms < RATE_ERROR, "{rms}");
+    }
 }

@@ -257,9 +257,12 @@ fn control(o: &mut Observed, run: &Run, rows: &[crate::record::measurement::Cont
         }
         let k = o.times.len();
         let t = 0.5 * (seconds(pair[0].time_us) + seconds(pair[1].time_us));
-        let advance = change * pitch;
+        // Count n covers the pitch from n to n + 1: upwards an edge lies at the new count, downwards at the one left, and a rotor
+        // that turns back crosses the same edge twice.
+        let edge = if change > 0.0 { pair[1].position } else { pair[1].position + 1.0 };
+        let advance = edge * pitch - o.angles[k - 1];
         o.times.push(t);
-        o.angles.push(pair[1].position * pitch);
+        o.angles.push(edge * pitch);
         o.level.push(if (pair[1].position.rem_euclid(2.0) - 1.0).abs() < 0.5 { 1 } else { -1 });
         if k > 1 {
             o.windows.push(Window { from: k - 1, to: k, low: advance, high: advance });

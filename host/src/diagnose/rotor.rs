@@ -20,6 +20,9 @@ pub enum P {
     OnAcceleration,
     /// Braking torque with the wave off over inertia in rad/s² (off-phase friction).
     OffDeceleration,
+    /// How long the dying wave brakes with the drive's own torque after each fall of the drive, in s: all the braking a
+    /// coasting rotor has.
+    RingDown,
     /// Viscous damping over inertia in 1/s.
     Viscous,
     /// Common delay of the record behind the drive in s (a nuisance, not physics).
@@ -76,10 +79,11 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 29] = [
+    pub const ALL: [P; 30] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
+        P::RingDown,
         P::Viscous,
         P::Latency,
         P::SlipBand,
@@ -247,6 +251,8 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     let on_acceleration = p.get(P::OnAcceleration).max(1.0);
     let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
     let viscous = p.get(P::Viscous);
+    let off_brake = p.get(P::OffDeceleration).max(0.0);
+    let ring_down = p.get(P::RingDown).max(0.0);
     let stribeck = p.get(P::StribeckDeceleration);
     let stribeck_speed = p.get(P::StribeckSpeed).max(1e-3);
     let has_angle = terms.runout.iter().chain(&terms.gravity).any(|c| *c != 0.0);
@@ -269,79 +275,80 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     let directions = &input.schedule.directions;
 
     // Advances to `until` with the drive on or off, answering queries on the way.
-    let mut advance = |state: &mut State, until: f64, on: bool, duty: f64, warmth: f64, next: &mut usize| {
-        while state.t < until - 1e-12 && *next < count {
-            while direction_index + 1 < directions.len() && directions[direction_index + 1].0 <= state.t + 1e-12 {
-                direction_index += 1;
-            }
-            let sign = directions.get(direction_index).map_or(1.0, |d| d.1);
-            let mut end = until.min(state.t + step_limit);
-            if let Some(d) = directions.get(direction_index + 1) {
-                end = end.min(d.0);
-            }
-            let mut external = -viscous * state.speed;
-            let mut modulation = 0.0;
-            if has_angle {
-                let now = state.t * clock + latency;
-                while measured + 1 < count && input.times[measured + 1] <= now {
-                    measured += 1;
+    let mut advance =
+        |state: &mut State, until: f64, on: bool, brake: f64, duty: f64, warmth: f64, next: &mut usize| {
+            while state.t < until - 1e-12 && *next < count {
+                while direction_index + 1 < directions.len() && directions[direction_index + 1].0 <= state.t + 1e-12 {
+                    direction_index += 1;
                 }
-                let theta = input.angles[measured];
-                let (s, c) = theta.sin_cos();
-                modulation = terms.runout[0] * c
-                    + terms.runout[1] * s
-                    + terms.runout[2] * (c * c - s * s)
-                    + terms.runout[3] * 2.0 * s * c;
-                external += terms.gravity[0] * c + terms.gravity[1] * s;
-            }
-            if stribeck != 0.0 {
-                let x = state.speed / stribeck_speed;
-                let sense = if state.speed != 0.0 { state.speed.signum() } else { sign };
-                let grip = stribeck * (-x * x).exp();
-                external -= if on || state.speed != 0.0 { sense * grip } else { 0.0 };
-            }
-            let mut brake = p.get(P::OffDeceleration).max(0.0);
-            brake *= (1.0 + sign * p.get(P::AsymBrake)).max(0.0);
-            let mut target = 0.0;
-            let mut acceleration = on_acceleration;
-            if on {
-                let mut gain = 1.0 - heat_loss * warmth - sag * duty + sign * p.get(P::AsymSpeed) + modulation + wear;
-                if wear_slope != 0.0 {
-                    let revs = input.revolutions + state.angle.abs() / std::f64::consts::TAU;
-                    gain += wear_slope * ((1.0 + revs / wear_r0) / (1.0 + input.revolutions / wear_r0)).ln();
+                let sign = directions.get(direction_index).map_or(1.0, |d| d.1);
+                let mut end = until.min(state.t + step_limit);
+                if let Some(d) = directions.get(direction_index + 1) {
+                    end = end.min(d.0);
                 }
-                if settle != 0.0 {
-                    let middle = 0.5 * (state.t + end);
-                    gain += settle * (-middle / settle_tau).exp();
-                }
-                target = sign * free_speed * gain.max(0.0);
-                acceleration *= (1.0 + modulation).max(0.01);
-            }
-            let band = (band_fraction * target.abs()).max(1e-6);
-            while state.t < end - 1e-12 && *next < count {
-                let piece = if on {
-                    on_piece(state.speed, target, acceleration, band, external)
-                } else {
-                    off_piece(state.speed, brake, external)
-                };
-                let stop = (state.t + piece.duration.max(1e-9)).min(end);
-                while *next < count {
-                    let tq = true_time(*next);
-                    if tq > stop {
-                        break;
+                let mut external = -viscous * state.speed;
+                let mut modulation = 0.0;
+                if has_angle {
+                    let now = state.t * clock + latency;
+                    while measured + 1 < count && input.times[measured + 1] <= now {
+                        measured += 1;
                     }
-                    let (a, w) = piece.at(state.speed, (tq - state.t).max(0.0));
-                    angle.push(state.angle + a);
-                    speed.push(w);
-                    *next += 1;
+                    let theta = input.angles[measured];
+                    let (s, c) = theta.sin_cos();
+                    modulation = terms.runout[0] * c
+                        + terms.runout[1] * s
+                        + terms.runout[2] * (c * c - s * s)
+                        + terms.runout[3] * 2.0 * s * c;
+                    external += terms.gravity[0] * c + terms.gravity[1] * s;
                 }
-                let (a, w) = piece.at(state.speed, stop - state.t);
-                state.angle += a;
-                state.speed = w;
-                state.t = stop;
+                if stribeck != 0.0 {
+                    let x = state.speed / stribeck_speed;
+                    let sense = if state.speed != 0.0 { state.speed.signum() } else { sign };
+                    let grip = stribeck * (-x * x).exp();
+                    external -= if on || state.speed != 0.0 { sense * grip } else { 0.0 };
+                }
+                let brake = brake * (1.0 + sign * p.get(P::AsymBrake)).max(0.0);
+                let mut target = 0.0;
+                let mut acceleration = on_acceleration;
+                if on {
+                    let mut gain =
+                        1.0 - heat_loss * warmth - sag * duty + sign * p.get(P::AsymSpeed) + modulation + wear;
+                    if wear_slope != 0.0 {
+                        let revs = input.revolutions + state.angle.abs() / std::f64::consts::TAU;
+                        gain += wear_slope * ((1.0 + revs / wear_r0) / (1.0 + input.revolutions / wear_r0)).ln();
+                    }
+                    if settle != 0.0 {
+                        let middle = 0.5 * (state.t + end);
+                        gain += settle * (-middle / settle_tau).exp();
+                    }
+                    target = sign * free_speed * gain.max(0.0);
+                    acceleration *= (1.0 + modulation).max(0.01);
+                }
+                let band = (band_fraction * target.abs()).max(1e-6);
+                while state.t < end - 1e-12 && *next < count {
+                    let piece = if on {
+                        on_piece(state.speed, target, acceleration, band, external)
+                    } else {
+                        off_piece(state.speed, brake, external)
+                    };
+                    let stop = (state.t + piece.duration.max(1e-9)).min(end);
+                    while *next < count {
+                        let tq = true_time(*next);
+                        if tq > stop {
+                            break;
+                        }
+                        let (a, w) = piece.at(state.speed, (tq - state.t).max(0.0));
+                        angle.push(state.angle + a);
+                        speed.push(w);
+                        *next += 1;
+                    }
+                    let (a, w) = piece.at(state.speed, stop - state.t);
+                    state.angle += a;
+                    state.speed = w;
+                    state.t = stop;
+                }
             }
-        }
-    };
+        };
 
     for period in &input.schedule.periods {
         if period.start >= input.drive_end || next >= count {
@@ -357,9 +364,12 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
         }
         let on_from = on_from.clamp(period.start, period.end).min(input.drive_end);
         let off_until = period.end.min(input.drive_end);
-        advance(&mut state, on_from, false, duty, warmth, &mut next);
+        if ring_down > 0.0 && duty < 1.0 - 1e-9 {
+            advance(&mut state, on_from.min(period.start + ring_down), false, on_acceleration, duty, warmth, &mut next);
+        }
+        advance(&mut state, on_from, false, off_brake, duty, warmth, &mut next);
         if duty > 0.0 {
-            advance(&mut state, off_until, true, duty, warmth, &mut next);
+            advance(&mut state, off_until, true, off_brake, duty, warmth, &mut next);
         }
         if heat_loss != 0.0 {
             warmth = duty + (warmth - duty) * (-length / heat_tau).exp();
@@ -367,7 +377,11 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     }
     if next < count {
         let last = true_time(count - 1).max(state.t) + 1e-6;
-        advance(&mut state, last, false, 0.0, warmth, &mut next);
+        if ring_down > 0.0 {
+            let dying = last.min(state.t + ring_down);
+            advance(&mut state, dying, false, on_acceleration, 0.0, warmth, &mut next);
+        }
+        advance(&mut state, last, false, off_brake, 0.0, warmth, &mut next);
     }
     // Times before the start of the drive, or after numerical ties.
     while angle.len() < count {

@@ -153,7 +153,39 @@ pub fn baseline_free(p: &Parameters, coasting: bool) -> Vec<Free> {
         // Down to a rotor that coasts: whether the wave's absence brakes at all is the motor's own affair.
         free.insert(2, Free { parameter: P::OffDeceleration, scale: a, bounds: (0.0, 20.0 * a) });
     }
+    if p.get(P::RingDown) > 0.0 {
+        free.push(Free { parameter: P::RingDown, scale: 5e-4, bounds: (1e-6, 5e-3) });
+    }
     free
+}
+
+/// Where the fit of the dying wave's braking starts: twice the build-up time of the 30 mm motor's stator (2·Ms/Cs; thesis,
+/// A.4), in s.
+const RING_DOWN_S: f64 = 4.6e-4;
+
+/// The baseline's own parameters, refitted from several starts: a rotor that is clamped, one that coasts and one that starts
+/// slowly lie in valleys of their own.
+pub fn refit_baseline(problem: &Problem, start: &Parameters, coasting: bool) -> Model {
+    let mut starts = vec![start.clone(), start.with(P::OnAcceleration, 0.3 * start.get(P::OnAcceleration))];
+    if !coasting {
+        starts.push(start.with(P::OffDeceleration, 0.1 * start.get(P::OffDeceleration)));
+    }
+    let coasts = start.with(P::OffDeceleration, 0.0).with(P::RingDown, RING_DOWN_S);
+    starts.push(coasts.clone());
+    // A rotor that coasts is faster at part duty than the duty says: the start's free speed is read off the duty.
+    let fastest = problem.runs.iter().map(|r| r.mean_speed_rpm().abs() / RPM).fold(0.0, f64::max);
+    if fastest > 0.0 && fastest < 0.8 * start.get(P::FreeSpeed) {
+        starts.push(coasts.with(P::FreeSpeed, fastest));
+    }
+    let fitted = |start: &Parameters, iterations: usize| {
+        let free = baseline_free(start, coasting);
+        let model = refit(problem, problem.model(start.clone()), &free, &[], iterations).0;
+        let value = super::fit::objective(problem, &model, 1.0, 0.0);
+        (value, model)
+    };
+    let best = starts.iter().map(|s| fitted(s, 4)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let near = best.map_or_else(|| start.clone(), |b| b.1.parameters);
+    fitted(&near, 12).1
 }
 
 /// Context of one step of the search: designs and normal equations around the present model.
@@ -188,8 +220,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     let divisions = folds(&keys, if problem.runs.len() < 8 { problem.runs.len() } else { 5 }, settings.seed);
 
     progress("refitting the baseline", 0.05);
-    let base_free = baseline_free(&start, settings.coasting);
-    let (baseline, _) = refit(problem, problem.model(start.clone()), &base_free, &[], 12);
+    let baseline = refit_baseline(problem, &start, settings.coasting);
     let base_free = baseline_free(&baseline.parameters, settings.coasting);
 
     let mut findings: Vec<Finding> = Vec::new();
@@ -203,8 +234,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     let (problem, baseline) = match &repaired {
         Some(gaps) => {
             findings.push(gaps.finding.clone());
-            let (refitted, _) = refit(&gaps.problem, gaps.problem.model(start.clone()), &base_free, &[], 12);
-            (&gaps.problem, refitted)
+            (&gaps.problem, refit_baseline(&gaps.problem, &baseline.parameters, settings.coasting))
         }
         None => (problem, baseline),
     };
@@ -292,6 +322,29 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
             })
             .collect();
         trials.sort_by(|a, b| b.held.improvement().total_cmp(&a.held.improvement()));
+        if std::env::var("TWUM_DBG").is_ok() {
+            eprintln!(
+                "round {round}: best {:?} null {:?}",
+                best.iter()
+                    .map(|(e, c)| (effects[*e].name, improvements[*c], p_value(improvements[*c], &null)))
+                    .collect::<Vec<_>>(),
+                {
+                    let mut n = null.clone();
+                    n.sort_by(f64::total_cmp);
+                    (n[n.len() / 2], n[n.len() * 98 / 100])
+                }
+            );
+            for t in &trials {
+                eprintln!(
+                    "  {} gain {:.3} {:?} ok {} {:?}",
+                    effects[t.accepted.effect].name,
+                    t.held.gain(),
+                    t.held.gain_interval(1),
+                    t.estimates_ok,
+                    t.estimates.iter().map(|e| (e.value, e.interval)).collect::<Vec<_>>()
+                );
+            }
+        }
         let winner = &trials[0];
         let gain = winner.held.gain();
         let interval = winner.held.gain_interval(settings.seed);
