@@ -73,7 +73,8 @@ impl Hidden {
             "direction-asymmetry" => Some(0.3 * s * self.sign()),
             "unequal-edges" => Some(0.6 * s * self.sign()),
             "clock-error" => Some(0.01 * s * self.sign()),
-            "supply-sag" => Some(0.5 * s),
+            // Relative to the speed at vanishing duty, which the generator puts 0.3·s above its nominal one.
+            "supply-sag" => Some(0.5 * s / (1.0 + 0.3 * s)),
             "preload-runout" => Some(0.4 * s),
             "encoder-eccentricity" => Some(0.4 * s),
             _ => None,

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::diagnose::{Details, Options, answer, diagnose, effects, motor, report};
+use twum_host::diagnose::{Details, Options, answer, diagnose, motor, report};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::record::measurement::Measurement;
@@ -84,12 +84,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
         bar.set_position((share * 100.0) as u64);
     })?;
     bar.finish_and_clear();
-    let library = effects::library(3.65, 1888.0);
-    let says = |name: &str| library.iter().find(|e| e.name == name).map(|e| (e.says, e.equation));
     if let Some(path) = &args.report {
         let title: Vec<&str> = measurements.iter().map(|m| m.name.as_str()).collect();
-        let page =
-            report::page(&title.join(", "), &diagnosis, details.as_ref(), &says).context("drawing the report")?;
+        let page = report::page(&title.join(", "), &diagnosis, details.as_ref()).context("drawing the report")?;
         page.write(path).with_context(|| format!("writing {}", path.display()))?;
         eprintln!("wrote {}", path.display());
     }
@@ -106,7 +103,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&diagnosis)?);
     } else {
-        print!("{}", answer::text(&diagnosis, &says));
+        print!("{}", answer::text(&diagnosis));
     }
     Ok(ExitCode::SUCCESS)
 }

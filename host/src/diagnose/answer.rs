@@ -329,8 +329,8 @@ fn effect_answer(f: &Finding) -> EffectAnswer {
     }
 }
 
-/// The page a person reads. `says` gives the sentence and the equation of an effect.
-pub fn text(d: &Diagnosis, says: super::effects::Says) -> String {
+/// The page a person reads.
+pub fn text(d: &Diagnosis) -> String {
     let mut out = String::new();
     let mut line = |s: String| {
         let _ = writeln!(out, "{s}");
@@ -355,7 +355,7 @@ pub fn text(d: &Diagnosis, says: super::effects::Says) -> String {
     }
     for e in &suspects {
         line(String::new());
-        let (sentence, equation) = says(&e.name).unwrap_or(("", ""));
+        let (sentence, equation) = super::effects::says(&e.name).unwrap_or(("", ""));
         line(format!(
             "{}   {} — {sentence}.",
             if e.status == "named" { "Cause        " } else { "Possible cause" },

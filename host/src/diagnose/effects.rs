@@ -51,8 +51,30 @@ pub struct Effect {
     pub next_experiment: &'static str,
 }
 
+/// What is found before the plant is fitted, in the record and in the controller, with the sentence and the equation of each.
+const BEFORE_THE_PLANT: [(&str, &str, &str); 3] = [
+    (
+        "dropped-samples",
+        "whole words of samples are missing, and what follows has moved up",
+        "32 samples put back at each gap",
+    ),
+    (
+        "loop-delay",
+        "the control signal belongs to older samples than it was logged with",
+        "u(k) computed from target and position of tick k − n",
+    ),
+    (
+        "controller-mismatch",
+        "the controller that ran is not the one stated: its gains differ",
+        "u = (1 + p)·kp·e + (1 + i)·ki·Σe + (1 + d)·kd·Δe",
+    ),
+];
+
 /// The sentence and the equation of an effect.
-pub type Says<'a> = &'a dyn Fn(&str) -> Option<(&'static str, &'static str)>;
+pub fn says(name: &str) -> Option<(&'static str, &'static str)> {
+    let early = BEFORE_THE_PLANT.iter().find(|e| e.0 == name).map(|e| (e.1, e.2));
+    early.or_else(|| library(1.0).iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
+}
 
 fn scalar(parameter: P, scale: f64, step: f64, shape: &[(P, f64)]) -> Column {
     Column::Scalar { parameter, scale, step, shape: shape.to_vec() }
@@ -74,9 +96,8 @@ fn form(name: &'static str, unit: &'static str, parameter: P, low: f64, high: f6
     Reported { name, unit, parameter, bounds: (low, high), factor: 1.0, size: false }
 }
 
-/// The whole library. `free_speed` in rad/s and accelerations in rad/s² set the scale of the searches.
-pub fn library(free_speed: f64, on_acceleration: f64) -> Vec<Effect> {
-    let _ = free_speed;
+/// The whole library. The rotor's acceleration under drive in rad/s² sets the scale of the searches over friction.
+pub fn library(on_acceleration: f64) -> Vec<Effect> {
     vec![
         Effect {
             name: "resonance-heating",

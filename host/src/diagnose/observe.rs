@@ -48,6 +48,8 @@ pub struct Observed {
     pub windows: Vec<Window>,
     /// Encoder pitch in rad (0 where the data carry speed instead of edges).
     pub pitch: f64,
+    /// Edges of a closed-loop run at which the count turns: time in s and the sign of the new sense.
+    pub reversals: Vec<(f64, f64)>,
     /// Spread (standard deviation) of a measured time in s: quantisation of the sampling.
     pub time_spread: f64,
     /// End of the record in s.
@@ -87,6 +89,9 @@ impl Observed {
     }
 }
 
+/// Shortest window of a closed-loop run in s: where the rotor chatters on one edge, single crossings say nothing of its speed.
+const SHORTEST_S: f64 = 5e-3;
+
 /// Why a run cannot be used.
 pub type Refusal = String;
 
@@ -109,6 +114,7 @@ pub fn observe(run: &Run, edges_per_rev: u32) -> Result<Observed, Refusal> {
         level: Vec::new(),
         windows: Vec::new(),
         pitch,
+        reversals: Vec::new(),
         time_spread: 0.0,
         record_end: 0.0,
     };
@@ -250,6 +256,7 @@ fn control(o: &mut Observed, run: &Run, rows: &[crate::record::measurement::Cont
     o.times.push(t0);
     o.angles.push(rows[0].position * pitch);
     o.level.push(0);
+    let (mut from, mut sense) = (1, 0.0);
     for pair in rows.windows(2) {
         let change = pair[1].position - pair[0].position;
         if change == 0.0 {
@@ -259,13 +266,20 @@ fn control(o: &mut Observed, run: &Run, rows: &[crate::record::measurement::Cont
         let t = 0.5 * (seconds(pair[0].time_us) + seconds(pair[1].time_us));
         // Count n covers the pitch from n to n + 1: upwards an edge lies at the new count, downwards at the one left, and a rotor
         // that turns back crosses the same edge twice.
+        if sense != 0.0 && change.signum() != sense {
+            o.reversals.push((t, change.signum()));
+        }
+        sense = change.signum();
         let edge = if change > 0.0 { pair[1].position } else { pair[1].position + 1.0 };
-        let advance = edge * pitch - o.angles[k - 1];
         o.times.push(t);
         o.angles.push(edge * pitch);
         o.level.push(if (pair[1].position.rem_euclid(2.0) - 1.0).abs() < 0.5 { 1 } else { -1 });
-        if k > 1 {
-            o.windows.push(Window { from: k - 1, to: k, low: advance, high: advance });
+        if k == 1 {
+            from = 1;
+        } else if t - o.times[from] >= SHORTEST_S {
+            let advance = o.angles[k] - o.angles[from];
+            o.windows.push(Window { from, to: k, low: advance, high: advance });
+            from = k;
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The comparison itself: residuals of every window for given parameters, and their derivatives.
 
-use super::observe::{Observed, Window};
+use super::observe::Observed;
 use super::rotor::{P, Parameters, RunInput, RunTerms, simulate, warm_up};
 use crate::record::measurement::RunKind;
 use rayon::prelude::*;
@@ -196,8 +196,8 @@ impl Problem {
                     advance += terms.eccentricity[0] * (cb - ca) + terms.eccentricity[1] * (sb - sa);
                 }
                 if track && (backlash != 0.0 || miscount != 0.0) {
-                    for (t, sign) in reversals(run, w) {
-                        let _ = t;
+                    let inside = |t: f64| t > run.times[w.from] && t <= run.times[w.to];
+                    for (_, sign) in run.reversals.iter().filter(|(t, _)| inside(*t)) {
                         advance += sign * miscount * run.pitch - sign * backlash;
                     }
                 }
@@ -329,12 +329,6 @@ impl Problem {
             })
             .collect()
     }
-}
-
-/// Direction changes inside a window, with the sign of the new direction.
-fn reversals<'a>(run: &'a Observed, w: &Window) -> impl Iterator<Item = (f64, f64)> + 'a {
-    let (from, to) = (run.times[w.from], run.times[w.to]);
-    run.schedule.directions.iter().skip(1).copied().filter(move |(t, _)| *t > from && *t <= to)
 }
 
 struct ShapedColumn {

@@ -14,15 +14,10 @@ use std::f64::consts::TAU;
 ///
 /// # Errors
 /// When a figure cannot be drawn.
-pub fn page(
-    title: &str,
-    d: &Diagnosis,
-    details: Option<&Details>,
-    says: super::effects::Says,
-) -> Result<Page, FigureError> {
+pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Result<Page, FigureError> {
     let mut page = Page::new(format!("Diagnosis: {title}"));
-    let headline = text(d, says).lines().next().unwrap_or_default().to_owned();
-    page = page.callout(&headline).heading("The answer").code(&text(d, says));
+    let headline = text(d).lines().next().unwrap_or_default().to_owned();
+    page = page.callout(&headline).heading("The answer").code(&text(d));
     if let Some(details) = details {
         page = page.heading("Residuals before and after");
         page = match details {

@@ -198,7 +198,7 @@ struct Step {
 
 /// Searches for what `start` gets wrong on `problem`.
 pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progress: &dyn Fn(&str, f64)) -> Outcome {
-    let effects: Vec<Effect> = library(start.get(P::FreeSpeed), start.get(P::OnAcceleration))
+    let effects: Vec<Effect> = library(start.get(P::OnAcceleration))
         .into_iter()
         .filter(|e| !settings.without.iter().any(|w| w == e.name))
         .collect();
