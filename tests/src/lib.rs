@@ -9,3 +9,4 @@ pub mod hidden;
 pub mod motor;
 pub mod noise;
 pub mod solver;
+pub mod tracking;

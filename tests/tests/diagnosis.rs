@@ -9,6 +9,7 @@ use twum_host::diagnose::{Options, diagnose};
 use twum_host::record::measurement::Measurement;
 use twum_tests::experiment::{Design, Sealed};
 use twum_tests::hidden::Hidden;
+use twum_tests::tracking::{self, HiddenInLoop};
 
 fn small() -> Design {
     Design { trials: 2, seconds: 1.5, ..Design::small() }
@@ -143,13 +144,55 @@ fn the_gear_motor_has_a_flat_top() {
     assert!(d.suspected().contains(&"high-duty-saturation"), "{:?}", d.suspected());
 }
 
-/// The same motor does not move below an input of 40 of 255.
+/// The same motor does not move below an input of about 40 of 255 one way and 44 to 65 the other. Fails if a value is no
+/// longer fitted together with the others.
 #[test]
-#[ignore = "known shortfall, docs/detection.md: columns added to a line cannot fit a dead zone under a strong saturation"]
-fn the_gear_motor_has_a_dead_zone() {
+fn the_gear_motor_has_an_uneven_dead_zone() {
     let Some(folder) = shared("micromouse") else { return };
     let d = answer(&folder);
-    assert!(d.suspected().contains(&"dead-zone"), "{:?}", d.suspected());
+    let suspected = d.suspected();
+    assert!(suspected.contains(&"dead-zone") && suspected.contains(&"direction-asymmetry"), "{suspected:?}");
+    let zone = d.effects.iter().find(|e| e.name == "dead-zone").expect("it was found");
+    let threshold = &zone.parameters["threshold"];
+    assert!((0.14..0.22).contains(&threshold.value), "{threshold:?}");
+}
+
+fn closed_loop(hidden: HiddenInLoop, seed: u64) -> Diagnosis {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    tracking::write(&tracking::sines(&hidden, seed), folder.path()).expect("the folder can be written");
+    answer(&folder.path().to_path_buf())
+}
+
+/// The loop hides model errors in position and quantisation makes others: neither may get a name.
+#[test]
+fn a_sound_closed_loop_names_nothing() {
+    for seed in 31..=33 {
+        let d = closed_loop(HiddenInLoop::default(), seed);
+        assert_eq!(d.verdict, Verdict::None, "seed {seed}: {:?}", d.suspected());
+    }
+}
+
+/// Fails if the controller is no longer held against its own law before the plant is blamed.
+#[test]
+fn a_late_or_wrong_controller_is_named() {
+    let d = closed_loop(HiddenInLoop { delay_ticks: 6, ..HiddenInLoop::default() }, 34);
+    assert_eq!(d.named(), ["loop-delay"], "{:?}", d.verdict);
+    assert_eq!(d.effects[0].parameters["ticks"].value, 6.0);
+    let d = closed_loop(HiddenInLoop { gain_error: [0.4, 0.0], ..HiddenInLoop::default() }, 35);
+    assert_eq!(d.named(), ["controller-mismatch"], "{:?}", d.verdict);
+    let kp = &d.effects[0].parameters["kp_relative"];
+    assert!((kp.value - 0.4).abs() < 0.02, "{kp:?}");
+}
+
+/// A gap and a count lost at each reversal look alike; counts gained always in the same sense do not.
+#[test]
+fn reversals_show_a_gap_or_a_miscount() {
+    let d = closed_loop(HiddenInLoop { gap_rad: 0.035, ..HiddenInLoop::default() }, 36);
+    let suspected = d.suspected();
+    assert!(suspected.contains(&"backlash"), "{:?} {suspected:?}", d.verdict);
+    assert!(suspected.iter().all(|n| ["backlash", "reversal-miscount"].contains(n)), "{suspected:?}");
+    let d = closed_loop(HiddenInLoop { drift: 1, ..HiddenInLoop::default() }, 37);
+    assert_eq!(d.named(), ["reversal-miscount"], "{:?} {:?}", d.verdict, d.suspected());
 }
 
 fn folder_with(toml: &str, csv: &str) -> tempfile::TempDir {

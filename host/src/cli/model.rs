@@ -7,7 +7,6 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::model::closed_loop::{Following, LoopProgram, Tick, following, run as run_loop};
-use twum_host::model::effects::EffectSet;
 use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::{History, MotorPlant, Solver};
 use twum_host::model::parameters::Flavour;
@@ -141,9 +140,16 @@ impl Common {
             SolverArg::Averaged => Solver::Averaged,
             SolverArg::Carrier => Solver::Carrier,
         };
-        let parameters = Motor::load(&self.motor)?.parameters(flavour).assign(&self.set).context("--set")?;
-        let setup =
-            Setup { parameters, flavour, solver, duty, pwm_hz: self.pwm_hz, seconds: self.seconds.unwrap_or(seconds) };
+        let motor = Motor::load(&self.motor)?;
+        let setup = Setup {
+            parameters: motor.parameters(flavour).assign(&self.set).context("--set")?,
+            effects: motor.effects(),
+            flavour,
+            solver,
+            duty,
+            pwm_hz: self.pwm_hz,
+            seconds: self.seconds.unwrap_or(seconds),
+        };
         setup.check()?;
         Ok(setup)
     }
@@ -305,7 +311,7 @@ fn follow(
         end_s: setup.seconds,
         true_sense,
     };
-    let effects = EffectSet::default();
+    let effects = setup.effects;
     let mut plant = MotorPlant::new(setup.parameters, setup.flavour, setup.solver, &effects, History::default());
     let began = std::time::Instant::now();
     let waiting = spinner();

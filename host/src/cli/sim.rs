@@ -4,7 +4,6 @@ use super::connect::{INTERRUPTED, catch_interrupts};
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use twum_host::link::serve;
-use twum_host::model::effects::EffectSet;
 use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::{History, MotorPlant, Solver};
 use twum_host::model::parameters::Flavour;
@@ -55,8 +54,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Box::new(FirstOrderMotor::default())
     } else {
         let (motor, flavour) = (Motor::load(&args.motor)?, Flavour::Physical);
-        let (effects, solver) = (EffectSet::default(), Solver::Averaged);
-        let plant = MotorPlant::new(motor.parameters(flavour), flavour, solver, &effects, History::default());
+        let plant =
+            MotorPlant::new(motor.parameters(flavour), flavour, Solver::Averaged, &motor.effects(), History::default());
         Box::new(PlantMotor::new(plant))
     };
     let setup = Setup { driver, motor, start_pitch: args.start_pitch, ..Setup::default() };

@@ -304,7 +304,7 @@ pub fn explained_gain(outcome: &Outcome) -> f64 {
     if a > 0.0 { 1.0 - b / a } else { 0.0 }
 }
 
-fn effect_answer(f: &Finding) -> EffectAnswer {
+pub(super) fn effect_answer(f: &Finding) -> EffectAnswer {
     EffectAnswer {
         name: f.name.clone(),
         status: match f.status {

@@ -42,6 +42,7 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     let mut out = Parity::default();
     let mut all = Vec::new();
     let mut same = SAME;
+    let mut fed_forward = false;
     for run in runs {
         let RunData::Control(rows) = &run.data else { continue };
         let Some(control) = &run.control else {
@@ -65,12 +66,7 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
             ));
             continue;
         }
-        if spec.feed_forward != ConfigSpec::THESIS.feed_forward {
-            out.notes.push(format!(
-                "run {}: the target's rate is not logged; for its feed-forward it is read off the target to about {RATE_ERROR} counts/s",
-                run.id
-            ));
-        }
+        fed_forward |= spec.feed_forward != ConfigSpec::THESIS.feed_forward;
         if let Some(r) = recompute(rows, spec) {
             all.push(r);
             same = same.max(RATE_ERROR * spec.feed_forward.to_num::<f64>().abs());
@@ -78,6 +74,11 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     }
     if all.is_empty() {
         return out;
+    }
+    if fed_forward {
+        out.notes.push(format!(
+            "the target's rate is not logged; for the controller's feed-forward it is read off the target to about {RATE_ERROR} counts/s"
+        ));
     }
     let (mut square, mut count) = (0.0, 0.0);
     for r in &all {

@@ -333,9 +333,12 @@ pub fn library(on_acceleration: f64) -> Vec<Effect> {
         Effect {
             name: "reversal-miscount",
             says: "the counter gains or loses counts at each reversal",
-            equation: "count + n·sign at each reversal",
-            shapes: vec![one(P::Miscount, 1.0, 0.1)],
-            reported: vec![size("counts_per_reversal", "1", P::Miscount, -5.0, 5.0)],
+            equation: "count + n at each reversal, in the new sense or always in the same",
+            shapes: vec![one(P::Miscount, 1.0, 0.1), one(P::MiscountDrift, 1.0, 0.1)],
+            reported: vec![
+                size("counts_per_reversal", "1", P::Miscount, -5.0, 5.0),
+                size("counts_gained_per_reversal", "1", P::MiscountDrift, -5.0, 5.0),
+            ],
             conflicts: &["backlash"],
             next_experiment: "track the same sine for ten periods and return to the mark: a miscount's error grows with each reversal",
         },

@@ -3,6 +3,7 @@
 use super::answer::Diagnosis;
 use super::rotor::{P, Parameters as Rotor};
 use crate::model::averaged::Averaged;
+use crate::model::effects::info;
 use crate::model::motor::Motor;
 use crate::model::parameters::{Flavour, Parameters};
 use crate::model::plant::Drive;
@@ -62,7 +63,141 @@ pub fn refitted(motor: &Motor, flavour: Flavour, rotor: &Rotor) -> Motor {
     out
 }
 
-/// The text of a motor file for the refitted motor, with the accepted effects written above it.
+/// An effect as the motor model has it: its name there, and its parameters by name; or why the model cannot hold it.
+type Carried = Result<(&'static str, Vec<(&'static str, f64)>), (String, &'static str)>;
+
+/// What the accepted effects are in the motor model. The rotor equation of the search and the motor model do not share every
+/// parameter: where they differ, the model's is chosen so that its steady speed under full drive changes as much as was found.
+fn carried(motor: &Motor, flavour: Flavour, rotor: &Rotor, diagnosis: &Diagnosis) -> Vec<Carried> {
+    let p = motor.parameters(flavour);
+    let inertia = p.rotor_inertia_kg_m2;
+    let drive = |factor: f64| Parameters { force_factor_n_v: p.force_factor_n_v * factor, ..p };
+    let tuned = |shift_hz: f64| Parameters { frequency_hz: p.frequency_hz + shift_hz, ..p };
+    let heavier = |factor: f64| Parameters { preload_n: p.preload_n * factor, ..p };
+    // The value at which a motor changed by it turns `ratio` times as fast.
+    let matched = |ratio: f64, low: f64, high: f64, changed: &dyn Fn(f64) -> Parameters| {
+        let now = free_speed(p, flavour);
+        bisect(low, high, &|x| free_speed(changed(x), flavour) / now - ratio)
+    };
+    let estimate = |effect: &str, parameter: &str| {
+        diagnosis.effects.iter().find(|e| e.name == effect).and_then(|e| e.parameters.get(parameter)).map(|p| p.value)
+    };
+    const NOT_REACHED: &str = "no admissible size in the motor model does this to the speed";
+    let accepted = diagnosis.effects.iter().filter(|e| e.status != "rejected");
+    // Of effects that cannot be told apart only the first is in the model.
+    let mut out = Vec::new();
+    let mut stood_for: Vec<&str> = Vec::new();
+    for e in accepted {
+        if stood_for.contains(&e.name.as_str()) {
+            out.push(Err((e.name.clone(), "cannot be told from the one above, which stands for it")));
+            continue;
+        }
+        stood_for.extend(e.conflicts_with.iter().map(String::as_str));
+        let of = |name| rotor.get(name);
+        let or = |name: &'static str, value: Option<f64>, parameter: &'static str, rest: Vec<(&'static str, f64)>| {
+            value.map(|v| (name, [vec![(parameter, v)], rest].concat())).ok_or_else(|| (name.to_owned(), NOT_REACHED))
+        };
+        out.push(match e.name.as_str() {
+            "dead-zone" => Ok(("dead-zone", vec![("threshold_duty", of(P::DeadDuty))])),
+            "start-delay" => Ok(("start-delay", vec![("delay_s", of(P::StartDelay))])),
+            "duty-quantisation" => Ok(("duty-quantisation", vec![("step", 1.0 / of(P::QuantSteps))])),
+            "high-duty-saturation" => Ok(("high-duty-saturation", vec![("inverse_us", of(P::Saturation))])),
+            "unequal-edges" => Ok(("unequal-edges", vec![("offset", of(P::EdgeOffset))])),
+            "clock-error" => Ok(("clock-error", vec![("error", of(P::ClockError))])),
+            "backlash" => Ok(("backlash", vec![("gap_rad", of(P::Backlash))])),
+            "reversal-miscount" => Ok(("reversal-miscount", vec![("counts", of(P::Miscount))])),
+            "stribeck-friction" => Ok((
+                "stribeck-friction",
+                vec![("torque_nm", of(P::StribeckDeceleration) * inertia), ("speed_rad_s", of(P::StribeckSpeed))],
+            )),
+            "off-phase-braking" => Ok(("off-phase-braking", vec![("torque_nm", of(P::OffDeceleration) * inertia)])),
+            "encoder-eccentricity" => or(
+                "encoder-eccentricity",
+                estimate("encoder-eccentricity", "eccentricity_rad"),
+                "amplitude_rad",
+                Vec::new(),
+            ),
+            "gravity-load" => or(
+                "gravity-load",
+                estimate("gravity-load", "gravity_torque_over_inertia").map(|a| a * inertia),
+                "torque_nm",
+                Vec::new(),
+            ),
+            "direction-asymmetry" => or(
+                "direction-asymmetry",
+                matched(1.0 + of(P::AsymSpeed), -0.5, 0.5, &|x| drive(1.0 + x)),
+                "gain",
+                Vec::new(),
+            ),
+            "supply-sag" => {
+                or("supply-sag", matched(1.0 - of(P::Sag), 0.0, 0.6, &|x| drive(1.0 - x)), "sag", Vec::new())
+            }
+            "run-in-wear" => or(
+                "run-in-wear",
+                matched(1.0 + of(P::Wear), -0.5, 0.5, &|x| drive(1.0 + x)),
+                "gain",
+                vec![("revolutions", of(P::WearRevolutions).max(0.1))],
+            ),
+            "resonance-heating" => or(
+                "resonance-heating",
+                matched(1.0 - of(P::HeatLoss), 0.0, 2000.0, &|x| tuned(x)),
+                "shift_hz",
+                vec![("tau_s", of(P::HeatTau))],
+            ),
+            "frequency-settling" => or(
+                "frequency-settling",
+                matched(1.0 + of(P::SettleExcess), -2000.0, 0.0, &|x| tuned(x))
+                    .or_else(|| matched(1.0 + of(P::SettleExcess), 0.0, 2000.0, &|x| tuned(x))),
+                "detuning_hz",
+                vec![("tau_s", of(P::SettleTau))],
+            ),
+            "preload-runout" => {
+                let (once, twice) =
+                    (estimate("preload-runout", "once_a_turn"), estimate("preload-runout", "twice_a_turn"));
+                match once.filter(|once| twice.is_none_or(|twice| twice < *once)) {
+                    Some(ripple) => or(
+                        "preload-runout",
+                        matched(1.0 - ripple, 0.0, 0.8, &|x| heavier(1.0 + x)),
+                        "amplitude",
+                        Vec::new(),
+                    ),
+                    None => Err((e.name.clone(), "the motor model has it once a turn, this motor twice")),
+                }
+            }
+            "loop-delay" => or("loop-delay", estimate("loop-delay", "ticks"), "ticks", Vec::new()),
+            "controller-mismatch" => Ok((
+                "controller-mismatch",
+                ["kp", "ki", "kd"]
+                    .into_iter()
+                    .zip(["kp_relative", "ki_relative", "kd_relative"])
+                    .filter_map(|(to, from)| estimate("controller-mismatch", from).map(|v| (to, v)))
+                    .collect(),
+            )),
+            _ => Err((e.name.clone(), "it belongs to these records, or the motor model has no number for it")),
+        });
+    }
+    out
+}
+
+/// The root of a function between two values, if it changes sign between them.
+fn bisect(low: f64, high: f64, f: &dyn Fn(f64) -> f64) -> Option<f64> {
+    let (mut low, mut high) = (low, high);
+    let (start, end) = (f(low), f(high));
+    if start == 0.0 {
+        return Some(low);
+    }
+    if !(start * end < 0.0) {
+        return None;
+    }
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if f(middle) * start > 0.0 { low = middle } else { high = middle }
+    }
+    Some(0.5 * (low + high))
+}
+
+/// The text of a motor file for the refitted motor with the accepted effects; those the motor model cannot hold are named in
+/// its head.
 ///
 /// # Errors
 /// When the motor cannot be written as TOML.
@@ -77,6 +212,78 @@ pub fn file(motor: &Motor, flavour: Flavour, rotor: &Rotor, diagnosis: &Diagnosi
             .collect();
         let _ = writeln!(text, "#   {} ({}): {}", e.name, e.status, list.join("; "));
     }
-    text.push_str(&refitted(motor, flavour, rotor).to_toml()?);
+    let mut out = refitted(motor, flavour, rotor);
+    for effect in carried(&out, flavour, rotor, diagnosis) {
+        match effect {
+            Ok((name, values)) => {
+                // Within the catalogue's bounds: a fit may end a rounding error beyond them.
+                let info = info(name).ok();
+                let values = values.into_iter().map(|(n, v)| {
+                    let bounds = info.and_then(|i| i.parameters.iter().find(|p| p.name == n));
+                    (n.to_owned(), bounds.map_or(v, |b| v.clamp(b.lower, b.upper)))
+                });
+                out.effects.insert(name.to_owned(), values.collect());
+            }
+            Err((name, why)) => {
+                let _ = writeln!(text, "# Not in this file: {name}; {why}.");
+            }
+        }
+    }
+    text.push_str(&out.to_toml()?);
     Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::search::{Estimate, Finding, Status};
+
+    fn found(name: &str, parameters: Vec<(&str, f64)>) -> Finding {
+        Finding {
+            name: name.into(),
+            status: Status::Named,
+            gain: 0.3,
+            gain_interval: [0.2, 0.4],
+            p_null: 0.002,
+            parameters: parameters
+                .into_iter()
+                .map(|(n, v)| Estimate { name: n.into(), value: v, interval: [0.9 * v, 1.1 * v], unit: "1".into() })
+                .collect(),
+            conflicts: Vec::new(),
+            next_experiment: String::new(),
+            share: 0.0,
+            note: String::new(),
+        }
+    }
+
+    /// Fails if a saved model does not load where a motor file does, or if its motor does not show what was found.
+    #[test]
+    fn a_saved_model_loads_and_slows_as_found() {
+        let motor = Motor::pcbmotor_30mm();
+        let flavour = Flavour::Physical;
+        let p = motor.parameters(flavour);
+        let [drive, brake, viscous] = rates(&p);
+        let mut rotor = Rotor::new(free_speed(p, flavour), drive, brake, viscous, 0.02);
+        rotor.set(P::Sag, 0.2);
+        rotor.set(P::DeadDuty, 0.07);
+        let mut diagnosis = Diagnosis::impossible(Vec::new(), 1);
+        diagnosis.effects = [
+            found("supply-sag", vec![("speed_lost_at_full_duty", 0.2)]),
+            found("dead-zone", vec![("threshold_duty", 0.07)]),
+            found("dropped-samples", vec![]),
+        ]
+        .iter()
+        .map(super::super::answer::effect_answer)
+        .collect();
+        let text = file(&motor, flavour, &rotor, &diagnosis).expect("it can be written");
+        let saved = Motor::parse("saved.toml", &text).expect("a saved model is a motor file");
+        assert!(text.contains("Not in this file: dropped-samples"), "{text}");
+        let effects = saved.effects();
+        assert_eq!(effects.dead_zone.map(|e| e.threshold_duty), Some(0.07));
+        let sag = effects.supply_sag.expect("the sag is carried").sag;
+        let weaker = saved.parameters(flavour);
+        let weaker = Parameters { force_factor_n_v: weaker.force_factor_n_v * (1.0 - sag), ..weaker };
+        let ratio = free_speed(weaker, flavour) / free_speed(saved.parameters(flavour), flavour);
+        assert!((ratio - 0.8).abs() < 1e-3, "{ratio}");
+    }
 }

@@ -184,6 +184,7 @@ impl Problem {
         let track = run.kind == RunKind::Track;
         let backlash = p.get(P::Backlash);
         let miscount = p.get(P::Miscount);
+        let drift = p.get(P::MiscountDrift);
         for w in &run.windows {
             let mut advance = angle[w.to] - angle[w.from];
             if w.low == w.high {
@@ -195,10 +196,10 @@ impl Problem {
                     let (sa, ca) = run.angles[w.from].sin_cos();
                     advance += terms.eccentricity[0] * (cb - ca) + terms.eccentricity[1] * (sb - sa);
                 }
-                if track && (backlash != 0.0 || miscount != 0.0) {
+                if track && (backlash != 0.0 || miscount != 0.0 || drift != 0.0) {
                     let inside = |t: f64| t > run.times[w.from] && t <= run.times[w.to];
                     for (_, sign) in run.reversals.iter().filter(|(t, _)| inside(*t)) {
-                        advance += sign * miscount * run.pitch - sign * backlash;
+                        advance += (sign * miscount + drift) * run.pitch - sign * backlash;
                     }
                 }
             }

@@ -71,10 +71,10 @@ pub enum P {
     WearRevolutions,
     /// `backlash`: lost motion at a reversal, in rad.
     Backlash,
-    /// `reversal-miscount`: counts gained in the positive sense per reversal to cw (signed).
+    /// `reversal-miscount`: counts gained at a reversal, in the new sense.
     Miscount,
-    /// `presliding`: elastic return after the drive ends, in rad.
-    Presliding,
+    /// `reversal-miscount`: counts gained at every reversal whatever its sense.
+    MiscountDrift,
 }
 
 impl P {
@@ -109,7 +109,7 @@ impl P {
         P::WearRevolutions,
         P::Backlash,
         P::Miscount,
-        P::Presliding,
+        P::MiscountDrift,
     ];
 }
 

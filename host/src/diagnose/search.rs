@@ -202,7 +202,10 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         .into_iter()
         .filter(|e| !settings.without.iter().any(|w| w == e.name))
         .collect();
-    let mut refused = Vec::new();
+    let mut refused = vec![(
+        "presliding".to_owned(),
+        "an elastic return is smaller than the encoder's pitch; a finer encoder would show it".to_owned(),
+    )];
     let usable: Vec<usize> = (0..effects.len())
         .filter(|i| match not_judged(effects[*i].name, problem, settings.coasting) {
             Some(reason) => {
@@ -322,29 +325,6 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
             })
             .collect();
         trials.sort_by(|a, b| b.held.improvement().total_cmp(&a.held.improvement()));
-        if std::env::var("TWUM_DBG").is_ok() {
-            eprintln!(
-                "round {round}: best {:?} null {:?}",
-                best.iter()
-                    .map(|(e, c)| (effects[*e].name, improvements[*c], p_value(improvements[*c], &null)))
-                    .collect::<Vec<_>>(),
-                {
-                    let mut n = null.clone();
-                    n.sort_by(f64::total_cmp);
-                    (n[n.len() / 2], n[n.len() * 98 / 100])
-                }
-            );
-            for t in &trials {
-                eprintln!(
-                    "  {} gain {:.3} {:?} ok {} {:?}",
-                    effects[t.accepted.effect].name,
-                    t.held.gain(),
-                    t.held.gain_interval(1),
-                    t.estimates_ok,
-                    t.estimates.iter().map(|e| (e.value, e.interval)).collect::<Vec<_>>()
-                );
-            }
-        }
         let winner = &trials[0];
         let gain = winner.held.gain();
         let interval = winner.held.gain_interval(settings.seed);

@@ -16,8 +16,12 @@
 //! [physical.Ms]             # optional: where the physical flavour differs
 //! value = 1.248e-3
 //! # unit, meaning, source as above
+//!
+//! [effects.dead-zone]       # optional: effects of the catalogue that this motor has
+//! threshold_duty = 0.05
 //! ```
 
+use super::effects::{EffectError, EffectInfo, EffectSet, info};
 use super::parameters::{Flavour, ParameterError, Parameters, SPECS};
 use crate::input;
 use serde::Serialize;
@@ -60,6 +64,9 @@ pub struct Motor {
     /// Those that differ in the physical flavour.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub physical: BTreeMap<String, Entry>,
+    /// Effects it has (see [`super::effects::CATALOGUE`]), each with its parameters by name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub effects: BTreeMap<String, BTreeMap<String, f64>>,
 }
 
 /// What is wrong with a motor file; every message names the file, the key and the line.
@@ -191,7 +198,7 @@ impl Reader<'_> {
 
     fn motor(&self, root: &Table<'_>) -> Result<Motor, MotorError> {
         let table = root.get_ref();
-        self.known("", table, &["name", "title", "edges_per_rev", "lambda", "parameters", "physical"])?;
+        self.known("", table, &["name", "title", "edges_per_rev", "lambda", "parameters", "physical", "effects"])?;
         let need = |name: &str| table.get(name).ok_or_else(|| self.key(name, 0, "is missing"));
         let edges = need("edges_per_rev")?;
         let count = self.number("edges_per_rev", edges)?;
@@ -233,6 +240,7 @@ impl Reader<'_> {
             edges_per_rev: count as u32,
             parameters,
             physical,
+            effects: self.effects(table)?,
         };
         for (flavour, prefix) in [(Flavour::Thesis, "parameters"), (Flavour::Physical, "physical")] {
             motor.assemble(flavour).check().map_err(|error| {
@@ -265,11 +273,44 @@ impl Reader<'_> {
         Ok(motor)
     }
 
+    /// The effects listed; a parameter that is not given keeps the catalogue's absent value.
+    fn effects(&self, root: &DeTable<'_>) -> Result<BTreeMap<String, BTreeMap<String, f64>>, MotorError> {
+        let mut out = BTreeMap::new();
+        let Some(value) = root.get("effects") else { return Ok(out) };
+        let Some(listed) = value.get_ref().as_table() else {
+            return Err(self.key("effects", value.span().start, "must be a table of effects"));
+        };
+        for (name, value) in listed {
+            let key = format!("effects.{}", name.get_ref());
+            let at = name.span().start;
+            let info = info(name.get_ref()).map_err(|error| self.key(&*key, at, format!("will not do: {error}")))?;
+            let Some(table) = value.get_ref().as_table() else {
+                return Err(self.key(key, at, "must be a table of the effect's parameters"));
+            };
+            let known: Vec<&str> = info.parameters.iter().map(|p| p.name).collect();
+            self.known(&format!("{key}."), table, &known)?;
+            let mut values = BTreeMap::new();
+            for (parameter, value) in table {
+                let key = format!("{key}.{}", parameter.get_ref());
+                values.insert(parameter.get_ref().to_string(), self.number(&key, value)?);
+            }
+            place(&mut EffectSet::default(), info, &values)
+                .map_err(|error| self.key(&*key, at, format!("will not do: {error}")))?;
+            out.insert(info.name.to_owned(), values);
+        }
+        Ok(out)
+    }
+
     /// The line of `value = ` inside the table at `offset`, when it is written as its own table.
     fn value_offset(&self, offset: usize) -> usize {
         let rest = self.text.get(offset..).unwrap_or("");
         rest.find("value").map_or(offset, |at| offset + at)
     }
+}
+
+fn place(set: &mut EffectSet, info: &EffectInfo, values: &BTreeMap<String, f64>) -> Result<(), EffectError> {
+    let values: Vec<f64> = info.parameters.iter().map(|p| values.get(p.name).copied().unwrap_or(p.absent)).collect();
+    set.set(info.name, &values)
 }
 
 impl Motor {
@@ -319,6 +360,18 @@ impl Motor {
     /// The parameters in a flavour.
     pub fn parameters(&self, flavour: Flavour) -> Parameters {
         self.assemble(flavour)
+    }
+
+    /// The effects the file lists.
+    pub fn effects(&self) -> EffectSet {
+        let mut set = EffectSet::default();
+        for (name, values) in &self.effects {
+            // Both were checked when the file was read; what was put there since and will not do is left out.
+            if let Ok(info) = info(name) {
+                let _ = place(&mut set, info, values);
+            }
+        }
+        set
     }
 
     fn assemble(&self, flavour: Flavour) -> Parameters {

@@ -20,6 +20,8 @@ pub struct Setup {
     pub flavour: Flavour,
     /// Which model integrates it.
     pub solver: Solver,
+    /// Effects the motor has.
+    pub effects: EffectSet,
     /// Fraction of the PWM period with the drive on, 0 to 1.
     pub duty: f64,
     /// PWM frequency (Hz).
@@ -83,10 +85,9 @@ impl Setup {
     }
 
     fn plant(&self) -> (MotorPlant, Pwm) {
-        let none = EffectSet::default();
-        let mut pwm = Pwm::new(self.pwm_hz, 0.0, &none);
+        let mut pwm = Pwm::new(self.pwm_hz, 0.0, &self.effects);
         pwm.begin(self.duty, Direction::Cw);
-        (MotorPlant::new(self.parameters, self.flavour, self.solver, &none, History::default()), pwm)
+        (MotorPlant::new(self.parameters, self.flavour, self.solver, &self.effects, History::default()), pwm)
     }
 
     /// Runs it.

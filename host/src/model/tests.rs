@@ -196,6 +196,7 @@ fn stall_torque_is_the_stated_one_in_the_physical_flavour() {
         parameters: parameters(flavour),
         flavour,
         solver: Solver::Averaged,
+        effects: EffectSet::default(),
         duty: 1.0,
         pwm_hz: 50.0,
         seconds: 0.2,
@@ -359,7 +360,7 @@ proptest! {
         let flavour = if thesis { Flavour::Thesis } else { Flavour::Physical };
         match p.check() {
             Ok(p) => {
-                let setup = Setup { parameters: p, flavour, solver: Solver::Averaged, duty, pwm_hz: 500.0, seconds: 4e-3 };
+                let setup = Setup { parameters: p, flavour, solver: Solver::Averaged, effects: EffectSet::default(), duty, pwm_hz: 500.0, seconds: 4e-3 };
                 setup.speed().unwrap();
                 Setup { solver: Solver::Carrier, seconds: 4e-5, ..setup }.speed().unwrap();
             }
