@@ -88,7 +88,7 @@ fn sine(
     let mut control = ControlState::REST;
     let mut late = VecDeque::from(vec![(0.0, 0.0, -1); hidden.delay_ticks]);
     let mut rotor = State::default();
-    let mut encoder_angle = 0.0;
+    let mut encoder_angle: f64 = 0.0;
     let mut cell = phase.floor() as i64;
     let (mut position, mut sense) = (0, 0);
     let mut latched = 0.0;

@@ -180,7 +180,8 @@ fn a_late_or_wrong_controller_is_named() {
     assert_eq!(d.effects[0].parameters["ticks"].value, 6.0);
     let d = closed_loop(HiddenInLoop { gain_error: [0.4, 0.0], ..HiddenInLoop::default() }, 35);
     assert_eq!(d.named(), ["controller-mismatch"], "{:?}", d.verdict);
-    let kp = &d.effects[0].parameters["kp_relative"];
+    let effect = d.effects.iter().find(|e| e.name == "controller-mismatch").expect("it was named");
+    let kp = &effect.parameters["kp_relative"];
     assert!((kp.value - 0.4).abs() < 0.02, "{kp:?}");
 }
 

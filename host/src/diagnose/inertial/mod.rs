@@ -240,6 +240,15 @@ fn fit(start: Map, shape: Shape, u: &[f64], y: &[f64], thorough: bool) -> Map {
         .map_or(start, |best| best.0)
 }
 
+/// The shape with every top it may have instead of its own; one without a bend keeps it straight.
+fn tops(shape: Shape) -> Vec<Shape> {
+    if shape.top == Top::Straight {
+        vec![shape]
+    } else {
+        [Top::Soft, Top::Flat].map(|top| Shape { top, ..shape }).to_vec()
+    }
+}
+
 /// One way of extending the present map.
 struct Candidate {
     effect: usize,
@@ -322,7 +331,9 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
     for round in 0..EFFECTS.len() as u64 {
         let forms: Vec<(usize, Shape)> = (0..EFFECTS.len())
             .filter(|e| usable(*e) && !(EFFECTS[*e].present)(shape))
-            .flat_map(|e| EFFECTS[e].forms.iter().map(move |f| (e, f(shape))))
+            .flat_map(|e| EFFECTS[e].forms.iter().map(move |f| (e, *f)))
+            // A top that was found alone may bend otherwise beside another effect.
+            .flat_map(|(e, f)| tops(shape).into_iter().map(move |s| (e, f(s))))
             .collect();
         if forms.is_empty() {
             break;
