@@ -4,6 +4,7 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::diagnose::cache::{self, Kept};
 use twum_host::diagnose::{Details, Options, answer, diagnose, motor, report};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
@@ -26,7 +27,7 @@ pub struct Args {
     /// Motor file, or the name of a shipped motor [default: the one the folder names]
     #[arg(long)]
     motor: Option<String>,
-    /// Write the refitted motor as a motor file, the effects in its head
+    /// Write the refitted motor with the effects found as a motor file
     #[arg(long, value_name = "EXTENDED.toml")]
     save_model: Option<PathBuf>,
     /// Simulation to start from
@@ -41,6 +42,9 @@ pub struct Args {
     /// Seed of every random choice: the same seed gives the same answer
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Search again even if the same question was answered before
+    #[arg(long)]
+    no_cache: bool,
     /// A first look: fewer runs, shorter, a smaller null (the answer says what was left out)
     #[arg(long)]
     quick: bool,
@@ -79,6 +83,15 @@ pub fn run(args: Args) -> Result<ExitCode> {
         motor: motor_file.as_ref().map(|m| m.parameters(flavour)),
         ..Options::default()
     };
+    // Reports and models need what the answer was drawn from.
+    let fresh = args.no_cache || args.report.is_some() || args.save_model.is_some();
+    let place = cache::default_folder().and_then(|folder| cache::Place::new(&folder, &measurements, &options));
+    if let Some(kept) = place.as_ref().filter(|_| !fresh).and_then(cache::Place::read) {
+        bar.finish_and_clear();
+        eprintln!("answered before; --no-cache searches again");
+        print!("{}", if args.json { kept.json } else { kept.text });
+        return Ok(ExitCode::SUCCESS);
+    }
     let (diagnosis, details) = diagnose(&measurements, &options, &|what, share| {
         bar.set_message(what.to_owned());
         bar.set_position((share * 100.0) as u64);
@@ -100,10 +113,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
         std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
         eprintln!("wrote {}", path.display());
     }
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&diagnosis)?);
-    } else {
-        print!("{}", answer::text(&diagnosis));
+    let kept = Kept { json: serde_json::to_string_pretty(&diagnosis)? + "\n", text: answer::text(&diagnosis) };
+    if let Some(error) = place.and_then(|place| place.write(&kept).err()) {
+        eprintln!("the answer could not be kept for a second look: {error}");
     }
+    print!("{}", if args.json { kept.json } else { kept.text });
     Ok(ExitCode::SUCCESS)
 }

@@ -5,6 +5,7 @@
 //! look for what no effect explains. `docs/diagnosis.md` walks through it; `docs/detection.md` says how often it errs.
 
 pub mod answer;
+pub mod cache;
 pub mod controller;
 pub mod effects;
 pub mod fit;

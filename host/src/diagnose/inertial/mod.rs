@@ -250,8 +250,11 @@ fn tops(shape: Shape) -> Vec<Shape> {
 }
 
 /// One way of extending the present map.
+#[derive(Clone)]
 struct Candidate {
     effect: usize,
+    /// Which of the present maps it extends: more than one where the last step left rivals.
+    base: usize,
     shape: Shape,
     loss: Vec<f64>,
     improvement: f64,
@@ -326,24 +329,35 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
         seconds: seconds.clone(),
     };
     let mut shape = baseline.shape;
+    // The present map, and those of its rivals with the effect that makes each: one of them may go further.
+    let mut bases: Vec<(Shape, Option<usize>)> = vec![(shape, None)];
     let mut findings: Vec<Finding> = Vec::new();
     let mut rejected: Vec<Finding> = Vec::new();
+    // Repeating the search with its refits is dear; 200 repetitions resolve p = 0.005.
+    let repetitions = repetitions.min(200);
     for round in 0..EFFECTS.len() as u64 {
-        let forms: Vec<(usize, Shape)> = (0..EFFECTS.len())
-            .filter(|e| usable(*e) && !(EFFECTS[*e].present)(shape))
-            .flat_map(|e| EFFECTS[e].forms.iter().map(move |f| (e, *f)))
-            // A top that was found alone may bend otherwise beside another effect.
-            .flat_map(|(e, f)| tops(shape).into_iter().map(move |s| (e, f(s))))
-            .collect();
+        let mut forms: Vec<(usize, usize, Shape)> = Vec::new();
+        for (b, (base, _)) in bases.iter().enumerate() {
+            for (e, effect) in EFFECTS.iter().enumerate().filter(|(e, f)| usable(*e) && !(f.present)(*base)) {
+                // What the rivals themselves add is no step further.
+                if bases.len() > 1 && bases.iter().any(|(_, rival)| *rival == Some(e)) {
+                    continue;
+                }
+                // A top that was found alone may bend otherwise beside another effect.
+                for top in tops(*base) {
+                    forms.extend(effect.forms.iter().map(|f| (e, b, f(top))));
+                }
+            }
+        }
         if forms.is_empty() {
             break;
         }
         let mut candidates: Vec<Candidate> = forms
             .par_iter()
-            .map(|(effect, shape)| {
+            .map(|(effect, base, shape)| {
                 let candidate = pieces.held_out(&now, *shape, &y, true).0;
                 let improvement = loss.iter().sum::<f64>() - candidate.iter().sum::<f64>();
-                Candidate { effect: *effect, shape: *shape, loss: candidate, improvement }
+                Candidate { effect: *effect, base: *base, shape: *shape, loss: candidate, improvement }
             })
             .collect();
         // The null keeps the present map and every residual, and turns the residuals of a piece by a coin: the whole
@@ -369,12 +383,13 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
                 let base: f64 = pieces.held_out(&now, shape, &turned, false).0.iter().sum();
                 forms
                     .iter()
-                    .map(|(_, s)| base - pieces.held_out(&now, *s, &turned, false).0.iter().sum::<f64>())
+                    .map(|(_, _, s)| base - pieces.held_out(&now, *s, &turned, false).0.iter().sum::<f64>())
                     .fold(0.0, f64::max)
             })
             .collect();
         // The best form of each effect, best effect first.
         candidates.sort_by(|a, b| b.improvement.total_cmp(&a.improvement));
+        let all = candidates.clone();
         let mut seen = Vec::new();
         candidates.retain(|c| {
             !seen.contains(&c.effect) && {
@@ -457,6 +472,16 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
         else {
             break;
         };
+        // A rival of the last step that cannot follow this one is no rival any more.
+        for (b, (_, rival)) in bases.iter().enumerate().filter(|(b, _)| *b != candidates[winner].base) {
+            let follows = all.iter().find(|c| c.base == b && c.effect == candidates[winner].effect);
+            let lost = follows.is_none_or(|c| held[winner].lead_interval(&against(&loss, &c.loss), seed)[0] > 0.0);
+            let name = rival.map_or("", |e| EFFECTS[e].name);
+            if let Some(f) = findings.iter_mut().find(|f| lost && f.name == name) {
+                f.status = Status::Rejected;
+                f.note = format!("explains less once {} is in the model", EFFECTS[candidates[winner].effect].name);
+            }
+        }
         let set: Vec<usize> = (0..candidates.len())
             .filter(|s| {
                 *s == winner
@@ -472,6 +497,8 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
             findings.push(f);
         }
         shape = candidates[winner].shape;
+        bases = vec![(shape, Some(candidates[winner].effect))];
+        bases.extend(set.iter().filter(|s| **s != winner).map(|s| (candidates[*s].shape, Some(candidates[*s].effect))));
         (loss, now) = pieces.held_out(&now, shape, &y, true);
     }
 
@@ -491,6 +518,8 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
         }
     }
     let names: Vec<String> = findings.iter().filter(|f| f.status != Status::Rejected).map(|f| f.name.clone()).collect();
+    let lost: Vec<(String, String)> =
+        findings.iter().filter(|f| f.status == Status::Rejected).map(|f| (f.name.clone(), f.note.clone())).collect();
     findings.retain(|f| f.status != Status::Rejected);
     for f in &mut findings {
         f.conflicts.retain(|c| names.contains(c));
@@ -498,7 +527,12 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
             f.status = Status::Named;
         }
     }
-    findings.extend(rejected.into_iter().filter(|f| !names.contains(&f.name)));
+    findings.extend(rejected.into_iter().filter(|f| !names.contains(&f.name)).map(|mut f| {
+        if let Some((_, note)) = lost.iter().find(|(n, _)| *n == f.name) {
+            f.note.clone_from(note);
+        }
+        f
+    }));
     InertialOutcome {
         findings,
         unknown,
