@@ -3,7 +3,6 @@
 
 use super::controller::{self, ControllerCheck, ControllerError, root_mean};
 use crate::model::actuator::Pwm;
-use crate::model::effects::EffectSet;
 use crate::model::motor::Motor;
 use crate::model::motor_plant::{History, MotorPlant, Solver};
 use crate::model::parameters::Flavour;
@@ -107,7 +106,7 @@ pub fn compare(run: &Run, edges_per_rev: u32, motor: &Motor, flavour: Flavour) -
 
 /// The counted position of the simulated motor at each tick, under the recorded duties and directions, from rest.
 fn replay(run: &Run, rows: &[ControlRow], edges_per_rev: u32, motor: &Motor, flavour: Flavour) -> Vec<f64> {
-    let effects = EffectSet::default();
+    let effects = motor.effects();
     let parameters = motor.parameters(flavour);
     let mut plant = MotorPlant::new(parameters, flavour, Solver::Averaged, &effects, History::default());
     let pitch_rad = std::f64::consts::TAU / f64::from(edges_per_rev);
@@ -285,6 +284,7 @@ impl std::fmt::Display for ClosedLoop {
 mod tests {
     use super::*;
     use crate::model::closed_loop::{LoopProgram, run as run_loop};
+    use crate::model::effects::EffectSet;
     use crate::record::measurement::{ControlSpec, RunKind};
     use twum_shared::reference::Reference;
     use twum_shared::step::Config;

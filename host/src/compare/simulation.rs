@@ -97,12 +97,16 @@ pub struct Transient {
     pub stop_s: Option<f64>,
 }
 
+/// A motor and the effects its file lists.
+type Model = (PlantModel, EffectSet);
+
 /// Simulates every open-loop run of a measurement with a motor and compares.
 ///
 /// # Errors
 /// [`ComparisonError::NoRuns`] when no run can be simulated; a run that is not a speed.
 pub fn compare(measurement: &Measurement, motor: &Motor, flavour: Flavour) -> Result<Comparison, ComparisonError> {
-    let model = PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged };
+    let plant = PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged };
+    let model = (plant, motor.effects());
     let (mut runs, mut left_out) = (Vec::new(), Vec::new());
     for run in &measurement.runs {
         match run.duty.filter(|_| run.kind == RunKind::Speed && !matches!(run.data, RunData::Drive { .. })) {
@@ -128,7 +132,7 @@ pub fn compare(measurement: &Measurement, motor: &Motor, flavour: Flavour) -> Re
     })
 }
 
-fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &PlantModel) -> Result<RunComparison, SignalError> {
+fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &Model) -> Result<RunComparison, SignalError> {
     let options = Options { method: Method::Smoother, edges_per_rev, period_us: None, edge_uncertainty_us: 2.0 };
     let measured = motion(run, &options)?;
     let simulated_run = Run { data: simulated_data(run, duty, edges_per_rev, model), ..run.clone() };
@@ -156,7 +160,7 @@ fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &PlantModel) -> 
 
 /// What the run would have recorded of the simulated motor. The encoder's phase is that of an aligned motor, or the middle
 /// of a pitch where it is unknown.
-fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, model: &PlantModel) -> RunData {
+fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, (plant, effects): &Model) -> RunData {
     let direction = match run.direction.unwrap_or(Direction::Cw) {
         Direction::Cw => plant::Direction::Cw,
         Direction::Ccw => plant::Direction::Ccw,
@@ -172,7 +176,7 @@ fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, model: &PlantModel) 
         edges_per_rev,
         encoder_phase_rad: if run.aligned { 0.0 } else { 0.5 * pitch_rad },
     };
-    let trace = simulate(&program, model, &EffectSet::default(), History::default());
+    let trace = simulate(&program, plant, effects, History::default());
     let edges = trace.edges.iter().map(|e| LevelEdge { time_us: e.time_s * 1e6, level: e.level }).collect();
     let edges = RunData::Edges { initial: trace.initial, start_us: 0.0, edges, end_us: trace.end_s * 1e6 };
     match run.data {
@@ -328,7 +332,10 @@ mod tests {
     fn measured(duties: &[f64], slower: f64) -> Measurement {
         let motor = Motor::pcbmotor_30mm();
         let flavour = Flavour::Physical;
-        let model = PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged };
+        let model = (
+            PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged },
+            EffectSet::default(),
+        );
         let runs = duties
             .iter()
             .map(|duty| {
