@@ -7,14 +7,17 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use twum_host::model::averaged::Averaged;
-use twum_host::model::carrier::{Carrier, STEP_S};
+use twum_host::model::carrier::{Carrier, STEP_S, SideBySide};
+use twum_host::model::closed_loop::{LoopProgram, run};
 use twum_host::model::effects::EffectSet;
 use twum_host::model::modulation::Modulation;
 use twum_host::model::motor::Motor;
-use twum_host::model::motor_plant::{History, Solver};
+use twum_host::model::motor_plant::{History, MotorPlant, Solver};
 use twum_host::model::parameters::Flavour;
 use twum_host::model::plant::{Direction, Drive};
 use twum_host::model::simulate::{PlantModel, Program, Trace, simulate_into};
+use twum_shared::reference::Reference;
+use twum_shared::step::{Config, ConfigSpec};
 
 /// Processor time of this thread; wall time where there is none to be had.
 struct CpuTime {
@@ -75,6 +78,14 @@ fn carrier(criterion: &mut Criterion<CpuTime>) {
             bencher.iter(|| model.run(steps as f64 * STEP_S, black_box(Drive::ON), &Modulation::NONE));
         });
     }
+    for flavour in FLAVOURS {
+        let mut four = SideBySide::new([Motor::pcbmotor_30mm().parameters(flavour); 4], flavour);
+        four.run(0.02, [Drive::ON; 4]);
+        group.throughput(Throughput::Elements(4 * steps));
+        group.bench_function(format!("{flavour}, four motors side by side"), |bencher| {
+            bencher.iter(|| four.run(steps as f64 * STEP_S, black_box([Drive::ON; 4])));
+        });
+    }
     group.finish();
 }
 
@@ -121,6 +132,34 @@ fn runs(criterion: &mut Criterion<CpuTime>) {
     group.finish();
 }
 
+/// The thesis's closed-loop test of 10 s under both controllers.
+fn loops(criterion: &mut Criterion<CpuTime>) {
+    let mut group = criterion.benchmark_group("closed loop of 10 s");
+    group.sample_size(10);
+    for flavour in FLAVOURS {
+        let parameters = Motor::pcbmotor_30mm().parameters(flavour);
+        for (name, spec) in [("thesis", ConfigSpec::THESIS), ("default", ConfigSpec::DEFAULT)] {
+            let program = LoopProgram {
+                config: Config::try_from(spec).expect("a named controller runs"),
+                reference: Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 },
+                pwm_hz: 50.0,
+                edges_per_rev: 400,
+                encoder_phase_rad: 0.0,
+                end_s: 10.0,
+                true_sense: false,
+            };
+            let none = EffectSet::default();
+            group.bench_function(format!("{flavour}, {name} controller"), |bencher| {
+                bencher.iter(|| {
+                    let mut plant = MotorPlant::new(parameters, flavour, Solver::Averaged, &none, History::default());
+                    run(black_box(&program), &mut plant, &none).expect("the controller runs")
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
 fn processor_time() -> Criterion<CpuTime> {
     Criterion::default().with_measurement(CpuTime { began: Instant::now(), wall: WallTime })
 }
@@ -128,6 +167,6 @@ fn processor_time() -> Criterion<CpuTime> {
 criterion_group! {
     name = benches;
     config = processor_time();
-    targets = carrier, averaged, runs
+    targets = carrier, averaged, runs, loops
 }
 criterion_main!(benches);

@@ -3,14 +3,38 @@
 mod cli;
 
 use clap::Parser;
+use std::any::Any;
+use std::io::ErrorKind;
+use std::panic::{self, catch_unwind, resume_unwind};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match cli::Cli::parse().run() {
-        Ok(code) => code,
-        Err(error) => {
+    let report = panic::take_hook();
+    panic::set_hook(Box::new(move |info| {
+        if !is_closed_stdout(info.payload()) {
+            report(info);
+        }
+    }));
+    match catch_unwind(|| cli::Cli::parse().run()) {
+        Ok(Ok(code)) => code,
+        Ok(Err(error)) if error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == ErrorKind::BrokenPipe) => {
+            ExitCode::SUCCESS
+        }
+        Ok(Err(error)) => {
             eprintln!("error: {error:#}");
             ExitCode::from(2)
         }
+        Err(payload) if is_closed_stdout(payload.as_ref()) => ExitCode::SUCCESS,
+        Err(payload) => resume_unwind(payload),
     }
+}
+
+/// Whether a panic is `println!` finding its reader gone (`twum ... | head`): no failure of the command.
+///
+/// It has to stay a panic. The signal that other programs die by here would leave a motor turning or a generator's
+/// outputs on; unwinding switches them off.
+fn is_closed_stdout(payload: &(dyn Any + Send)) -> bool {
+    payload
+        .downcast_ref::<String>()
+        .is_some_and(|m| m.starts_with("failed printing to stdout") && m.contains("os error 32"))
 }

@@ -52,15 +52,19 @@ impl Save {
 #[command(after_help = "Examples:
   twum identify force-factor bench-3
   twum identify force-factor bench-3 --loaded 1.0:0.004:24 --loaded 1.0:0.008:13 --save motor.toml
+  twum identify force-factor bench-3 --torque-runs torque.csv
 
 The folder is a measurement folder (measurement.toml). Its open-loop runs at constant duty give steady speeds and start-up
-lags; a speed under a known load tells torque from speed.")]
+lags; a speed under a known load, or the torque that stalls the rotor at full drive (1.0:0.015:0), tells torque from speed.")]
 struct ForceFactor {
     /// Measurement folder
     folder: PathBuf,
     /// A speed under load, DUTY:NEWTON_METRE:RPM; may be given several times
     #[arg(long, value_name = "DUTY:NM:RPM", value_parser = loaded)]
     loaded: Vec<force_factor::Loaded>,
+    /// Speeds under load and stalls from a CSV file with the columns duty,load_nm,rpm (rpm 0: the torque that stalled it)
+    #[arg(long, value_name = "FILE")]
+    torque_runs: Option<PathBuf>,
     /// Reading of the model: physical, or the thesis's listing
     #[arg(long, default_value = "physical", value_parser = flavour)]
     flavour: Flavour,
@@ -82,9 +86,7 @@ fn flavour(text: &str) -> Result<Flavour, String> {
 fn loaded(text: &str) -> Result<force_factor::Loaded, String> {
     let numbers: Vec<f64> = text.split(':').filter_map(|n| n.parse().ok()).collect();
     match numbers[..] {
-        [duty, load_nm, rpm] if (0.0..=1.0).contains(&duty) && load_nm.is_finite() && rpm.is_finite() => {
-            Ok(force_factor::Loaded { duty, load_nm, rpm })
-        }
+        [duty, load_nm, rpm] => Ok(force_factor::Loaded { duty, load_nm, rpm }),
         _ => Err(format!("`{text}` is not DUTY:NM:RPM, for example 1.0:0.005:22")),
     }
 }
@@ -224,7 +226,14 @@ fn run_friction(args: Friction) -> Result<ExitCode> {
 fn run_force_factor(args: ForceFactor) -> Result<ExitCode> {
     let measurement = Measurement::load(&args.folder)?;
     let motor = Motor::load(&args.save.motor)?;
-    let report = force_factor::identify(&measurement, &args.loaded, &motor, args.flavour)?;
+    let mut torque = force_factor::TorqueRuns::default();
+    for row in args.loaded {
+        torque.add(row).map_err(|message| anyhow::anyhow!("--loaded: {message}"))?;
+    }
+    if let Some(path) = &args.torque_runs {
+        torque.read(path)?;
+    }
+    let report = force_factor::identify(&measurement, &torque, &motor, args.flavour)?;
     if args.json {
         println!("{}", serde_json::to_string(&report)?);
     } else {

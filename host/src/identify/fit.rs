@@ -12,6 +12,8 @@ use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{Complex, DMatrix, DVector, Dyn, storage::Owned};
 use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
 
+/// A fit this close (relative residual) knows |Y| better than the single points do.
+const CLOSE: f64 = 0.1;
 /// Residuals smaller than this share of |Y| count as none: a file's digits end somewhere.
 const RELATIVE_FLOOR: f64 = 1e-6;
 
@@ -218,7 +220,7 @@ fn noise_from_differences(admittance: &[Complex<f64>], residual: &[Complex<f64>]
         .collect()
 }
 
-/// Point standard deviations: (total, noise part).
+/// Point standard deviations: (total, noise part), for an admittance of the given size.
 fn point_sigma(
     sweep: &Sweep,
     admittance: &[Complex<f64>],
@@ -322,7 +324,13 @@ pub fn fit(sweep: &Sweep, layout: Layout, start: &Circuit) -> Option<Fit> {
     let mut sigma = relative.clone();
     let mut noise = relative.clone();
     for _ in 0..3 {
-        (sigma, noise) = point_sigma(sweep, &y, &residual(&circuit), parameters);
+        let left = residual(&circuit);
+        // A point whose noise made |Y| small would otherwise weigh more: all of Y would come out smaller by twice the noise's
+        // variance.
+        let close = (weighted(&left, &relative) / f.len() as f64).sqrt() < CLOSE;
+        let size: Vec<Complex<f64>> =
+            if close { f.iter().map(|&f| circuit.admittance(f)).collect() } else { y.clone() };
+        (sigma, noise) = point_sigma(sweep, &size, &left, parameters);
         circuit = minimise(layout, &f, &y, &sigma, &circuit)?;
     }
     let residual_s = residual(&circuit);

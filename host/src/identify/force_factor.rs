@@ -17,6 +17,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
 
 /// What may trade with the force factor, by its name in the motor file. `stator` is a common factor on Ms, Cs and Ks: the
 /// admittance fixes their ratios, and only together with η their size.
@@ -26,6 +27,8 @@ const DEFAULT_PRIOR: f64 = 0.1;
 const DEFAULT_PRIOR_F: f64 = 0.002;
 /// Edges a revolution of the simulated encoder.
 const FINE_EDGES: u32 = 20_000;
+/// Relative standard uncertainty of a speed under load and of a stall torque.
+const TORQUE_RELATIVE: f64 = 0.02;
 /// From here a motor counts as run up (s): the thesis's motor takes some 50 ms.
 const RUN_UP_S: f64 = 0.5;
 
@@ -48,7 +51,7 @@ pub enum ForceFactorError {
 }
 
 /// A measured speed under a known load, beside the runs of a folder.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize)]
 pub struct Loaded {
     /// Duty, 0 to 1.
     pub duty: f64,
@@ -56,6 +59,81 @@ pub struct Loaded {
     pub load_nm: f64,
     /// Speed (rpm).
     pub rpm: f64,
+}
+
+/// What a torque bench adds to the speed runs of a folder.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TorqueRuns {
+    /// Speeds under load.
+    pub loaded: Vec<Loaded>,
+    /// Torques at which the rotor stalled at full drive (N·m).
+    pub stall_nm: Vec<f64>,
+}
+
+/// Why a file of torque runs could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum TorqueError {
+    /// It is no CSV, or could not be opened.
+    #[error("{}: {cause}; expected the columns duty,load_nm,rpm", path.display())]
+    Csv {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        cause: csv::Error,
+    },
+    /// A row cannot be.
+    #[error("{}, line {line}: {message}", path.display())]
+    Row {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// What is wrong.
+        message: String,
+    },
+}
+
+impl TorqueRuns {
+    /// Adds the rows of a CSV file with the columns `duty`, `load_nm` and `rpm`; a row at full duty with `rpm` 0 is a stall.
+    ///
+    /// # Errors
+    /// [`TorqueError`], with the line.
+    pub fn read(&mut self, path: &Path) -> Result<(), TorqueError> {
+        let csv_error = |cause| TorqueError::Csv { path: path.to_owned(), cause };
+        let mut reader =
+            csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_path(path).map_err(csv_error)?;
+        let mut rows = reader.deserialize();
+        while let Some(row) = rows.next() {
+            let row: Loaded = row.map_err(csv_error)?;
+            let line = rows.reader().position().line().saturating_sub(1);
+            self.add(row).map_err(|message| TorqueError::Row { path: path.to_owned(), line, message })?;
+        }
+        Ok(())
+    }
+
+    /// Adds one speed under load, or a stall.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn add(&mut self, row: Loaded) -> Result<(), String> {
+        let Loaded { duty, load_nm, rpm } = row;
+        if !(duty > 0.0 && duty <= 1.0) {
+            return Err(format!("duty {duty} is outside 0 to 1"));
+        }
+        if !(load_nm.is_finite() && rpm.is_finite()) {
+            return Err(format!("load {load_nm} N m and {rpm} rpm must be finite"));
+        }
+        if rpm > 0.0 {
+            self.loaded.push(row);
+        } else if rpm == 0.0 && duty == 1.0 && load_nm > 0.0 {
+            self.stall_nm.push(load_nm);
+        } else if rpm == 0.0 {
+            return Err(format!("a stall must be at duty 1 and a positive torque, got duty {duty} and {load_nm} N m"));
+        } else {
+            return Err(format!("{rpm} rpm: a load drives no motor backwards; take its sense as positive"));
+        }
+        Ok(())
+    }
 }
 
 /// One run against the model.
@@ -115,6 +193,10 @@ pub struct Report {
     pub trades: Vec<Trade>,
     /// Each run.
     pub runs: Vec<RunResult>,
+    /// Stall torque of the fitted model (N·m).
+    pub stall_nm: f64,
+    /// Stall torques measured (N·m).
+    pub stall_measured_nm: Vec<f64>,
     /// Coefficient of determination over the steady speeds; null below three.
     pub r2_speed: Option<f64>,
     /// Factor by which the residual exceeds the measurement's scatter; 1 is none.
@@ -142,17 +224,17 @@ struct Observed {
 /// [`ForceFactorError`].
 pub fn identify(
     measurement: &Measurement,
-    loaded: &[Loaded],
+    torque: &TorqueRuns,
     motor: &Motor,
     flavour: Flavour,
 ) -> Result<Report, ForceFactorError> {
     let mut observed: Vec<Observed> =
         measurement.runs.iter().filter_map(|run| observe(run, measurement.edges_per_rev)).collect();
-    if observed.is_empty() && loaded.is_empty() {
+    if observed.is_empty() && torque.loaded.is_empty() {
         return Err(ForceFactorError::NoRuns(measurement.folder.display().to_string()));
     }
     scatter(&mut observed);
-    observed.extend(loaded.iter().map(|l| Observed {
+    observed.extend(torque.loaded.iter().map(|l| Observed {
         id: format!("load {} N m", l.load_nm),
         duty: l.duty,
         sign: 1.0,
@@ -160,46 +242,31 @@ pub fn identify(
         pwm_hz: 50.0,
         pwm_phase_s: 0.0,
         rpm: l.rpm,
-        sigma_rpm: 0.02 * l.rpm.abs().max(1.0),
+        sigma_rpm: TORQUE_RELATIVE * l.rpm.max(1.0),
         lag: None,
     }));
     let base = motor.parameters(flavour);
     let priors: Vec<f64> = RIVALS.iter().map(|name| prior(motor, flavour, name)).collect();
-    let (data, sigma) = targets(&observed);
-    let predict = |x: &DVector<f64>| predictions(&observed, &with(&base, x), flavour);
-    let mut x = start(&observed, &base, flavour, &data, &sigma)?;
-    // Gauss–Newton with the priors as further residuals; a step that does not help is halved.
-    let weight = |x: &DVector<f64>| penalty(x, &priors);
-    let cost = |y: &DVector<f64>, x: &DVector<f64>| {
-        data.iter().zip(y.iter()).zip(&sigma).map(|((d, y), s)| ((d - y) / s).powi(2)).sum::<f64>() + weight(x)
-    };
-    let mut y = predict(&x);
-    let mut jacobian = slopes(&x, &predict);
-    let mut misfit: f64 = 1.0;
-    for _ in 0..8 {
-        misfit = excess(&data, &y, &sigma);
-        let (normal, gradient) = normal_equations(&jacobian, &data, &y, &sigma, &x, &priors, misfit);
-        let Some(full) = normal.cholesky().map(|c| c.solve(&gradient)) else { break };
-        let full = full.map(|d| d.clamp(-0.5, 0.5));
-        let before = cost(&y, &x);
-        let mut factor = 1.0;
-        let mut moved = false;
-        while factor > 0.05 {
-            let candidate = &x + &full * factor;
-            let there = predict(&candidate);
-            if cost(&there, &candidate) < before {
-                (x, y, moved) = (candidate, there, true);
-                break;
+    let (data, sigma) = targets(&observed, &torque.stall_nm);
+    let predict = |x: &DVector<f64>| predictions(&observed, torque.stall_nm.len(), &with(&base, x), flavour);
+    let search = Search { data: &data, sigma: &sigma, priors: &priors, predict: &predict };
+    let mut best = search.settle(start(&observed, &base, flavour, &data, &sigma)?, false, None);
+    let (mut low, mut high);
+    let mut restarts = 0;
+    loop {
+        (low, high) = (search.end(&best, -1.0), search.end(&best, 1.0));
+        let better = [&low, &high].into_iter().filter_map(|e| e.better.clone()).next();
+        match better {
+            // The way to an end of the interval led to a better fit: go on from there.
+            Some(x) if restarts < 3 => {
+                restarts += 1;
+                best = search.settle(x, false, None);
             }
-            factor *= 0.4;
+            _ => break,
         }
-        if !moved || full.amax() * factor < 1e-4 {
-            break;
-        }
-        jacobian = slopes(&x, &predict);
     }
-    let (normal, _) = normal_equations(&jacobian, &data, &y, &sigma, &x, &priors, misfit);
-    let covariance = normal.clone().try_inverse().unwrap_or_else(|| DMatrix::identity(x.len(), x.len()));
+    let (normal, _) = search.normal_equations(&best);
+    let covariance = normal.clone().try_inverse().unwrap_or_else(|| DMatrix::identity(best.x.len(), best.x.len()));
     let alone = 1.0 / normal[(0, 0)].sqrt();
     Ok(report(
         measurement,
@@ -207,15 +274,132 @@ pub fn identify(
         flavour,
         &base,
         &observed,
-        &x,
-        &y,
-        &jacobian,
+        &torque.stall_nm,
+        &best.x,
+        &best.y,
+        &best.jacobian,
         &sigma,
         &priors,
         &covariance,
+        [low.x0, high.x0],
         alone,
-        misfit,
+        best.misfit,
     ))
+}
+
+/// A point of the search: logarithms of η and its rivals over the motor file's, what the model makes of them, its slopes.
+struct Point {
+    x: DVector<f64>,
+    y: DVector<f64>,
+    jacobian: DMatrix<f64>,
+    misfit: f64,
+}
+
+/// An end of the interval: ln(η over the motor file's), and a better fit than the best one if the way there met it.
+struct End {
+    x0: f64,
+    better: Option<DVector<f64>>,
+}
+
+struct Search<'a, P: Fn(&DVector<f64>) -> DVector<f64>> {
+    data: &'a [f64],
+    sigma: &'a [f64],
+    priors: &'a [f64],
+    predict: &'a P,
+}
+
+impl<P: Fn(&DVector<f64>) -> DVector<f64>> Search<'_, P> {
+    /// Squared distance from data and priors, the data's scatter widened by `misfit`.
+    fn cost(&self, x: &DVector<f64>, y: &DVector<f64>, misfit: f64) -> f64 {
+        let from_data: f64 =
+            self.data.iter().zip(y.iter()).zip(self.sigma).map(|((d, y), s)| ((d - y) / (s * misfit)).powi(2)).sum();
+        from_data + penalty(x, self.priors)
+    }
+
+    fn normal_equations(&self, at: &Point) -> (DMatrix<f64>, DVector<f64>) {
+        normal_equations(&at.jacobian, self.data, &at.y, self.sigma, &at.x, self.priors, at.misfit)
+    }
+
+    /// Gauss–Newton with the priors as further residuals; a step that does not help is shortened. `held` keeps η where it is,
+    /// `misfit` is estimated on the way unless given.
+    fn settle(&self, x: DVector<f64>, held: bool, misfit: Option<f64>) -> Point {
+        let y = (self.predict)(&x);
+        let jacobian = slopes(&x, self.predict);
+        let mut at = Point { misfit: misfit.unwrap_or_else(|| excess(self.data, &y, self.sigma)), x, y, jacobian };
+        for _ in 0..20 {
+            at.misfit = misfit.unwrap_or_else(|| excess(self.data, &at.y, self.sigma));
+            let (mut normal, mut gradient) = self.normal_equations(&at);
+            if held {
+                normal.row_mut(0).fill(0.0);
+                normal.column_mut(0).fill(0.0);
+                (normal[(0, 0)], gradient[0]) = (1.0, 0.0);
+            }
+            let Some(full) = normal.cholesky().map(|c| c.solve(&gradient)) else { break };
+            let full = full.map(|d| d.clamp(-0.5, 0.5));
+            let before = self.cost(&at.x, &at.y, at.misfit);
+            let mut factor = 1.0;
+            let mut gained = 0.0;
+            while factor > 0.02 {
+                let x = &at.x + &full * factor;
+                let y = (self.predict)(&x);
+                let after = self.cost(&x, &y, at.misfit);
+                if after < before {
+                    (at.x, at.y) = (x, y);
+                    gained = before - after;
+                    break;
+                }
+                factor *= 0.4;
+            }
+            if gained < 1e-3 {
+                break;
+            }
+            at.jacobian = slopes(&at.x, self.predict);
+        }
+        at
+    }
+
+    /// An end of the 95 % interval by profile likelihood (Venzon and Moolgavkar, Applied Statistics 37, 1988): where the best
+    /// fit with η held costs 1.96² more than the best of all. The model bends too much for the covariance to say.
+    fn end(&self, best: &Point, sense: f64) -> End {
+        let (normal, _) = self.normal_equations(best);
+        let covariance = normal.try_inverse().unwrap_or_else(|| DMatrix::identity(best.x.len(), best.x.len()));
+        let along = covariance.column(0) / covariance[(0, 0)];
+        let least = self.cost(&best.x, &best.y, best.misfit);
+        let (mut inside, mut outside) = ((0.0, 0.0), None);
+        let mut nearest = best.x.clone();
+        let mut away = (1.96 * covariance[(0, 0)].sqrt()).clamp(1e-4, 1.0);
+        for _ in 0..10 {
+            // From the nearest point already settled, along the valley the best fit lies in.
+            let shift = best.x[0] + sense * away - nearest[0];
+            let there = self.settle(&nearest + &along * shift, true, Some(best.misfit));
+            let more = self.cost(&there.x, &there.y, best.misfit) - least;
+            if more < -0.05 {
+                return End { x0: there.x[0], better: Some(there.x) };
+            }
+            let distance = more.max(0.0).sqrt();
+            if (distance - 1.96).abs() < 0.02 {
+                inside = (away, distance);
+                break;
+            }
+            if distance < 1.96 {
+                (inside, nearest) = ((away, distance), there.x);
+            } else {
+                outside = Some((away, distance));
+            }
+            away = match outside {
+                None => away * (1.96 / distance.max(0.5)).clamp(1.1, 2.0),
+                // Close to the straight line through both, and never stuck at either.
+                Some((far, more)) => {
+                    let share = (1.96 - inside.1) / (more - inside.1);
+                    inside.0 + (far - inside.0) * share.clamp(0.15, 0.85)
+                }
+            };
+            if away > 3.0 {
+                break;
+            }
+        }
+        End { x0: best.x[0] + sense * inside.0.max(if outside.is_none() { away.min(3.0) } else { 0.0 }), better: None }
+    }
 }
 
 /// Parameters with η and its rivals scaled by exp(x).
@@ -392,14 +576,20 @@ fn scatter(observed: &mut [Observed]) {
     }
 }
 
-fn targets(observed: &[Observed]) -> (Vec<f64>, Vec<f64>) {
+fn targets(observed: &[Observed], stall_nm: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let speeds = observed.iter().map(|o| (o.rpm, o.sigma_rpm));
     let lags = observed.iter().filter_map(|o| o.lag);
-    speeds.chain(lags).unzip()
+    let stalls = stall_nm.iter().map(|t| (*t, TORQUE_RELATIVE * t));
+    speeds.chain(lags).chain(stalls).unzip()
 }
 
-/// Model speeds, then lags, in the order of [`targets`]. Runs alike are simulated once.
-fn predictions(observed: &[Observed], parameters: &Parameters, flavour: Flavour) -> DVector<f64> {
+/// Most torque the contact transmits to a rotor at rest (N·m), of either flavour.
+fn stall(parameters: &Parameters) -> f64 {
+    parameters.friction * parameters.preload_n * parameters.contact_radius_m
+}
+
+/// Model speeds, then lags, then stall torques, in the order of [`targets`]. Runs alike are simulated once.
+fn predictions(observed: &[Observed], stalls: usize, parameters: &Parameters, flavour: Flavour) -> DVector<f64> {
     let key = |o: &Observed| [o.duty, o.load_nm, o.pwm_hz, o.pwm_phase_s].map(f64::to_bits);
     let mut distinct: Vec<&Observed> = Vec::new();
     for o in observed {
@@ -411,7 +601,8 @@ fn predictions(observed: &[Observed], parameters: &Parameters, flavour: Flavour)
     let of = |o: &Observed| distinct.iter().position(|d| key(d) == key(o)).map_or((0.0, 0.0), |i| results[i]);
     let speeds = observed.iter().map(|o| of(o).0);
     let lags = observed.iter().filter(|o| o.lag.is_some()).map(|o| of(o).1);
-    DVector::from_vec(speeds.chain(lags).collect())
+    let stalls = std::iter::repeat_n(stall(parameters), stalls);
+    DVector::from_vec(speeds.chain(lags).chain(stalls).collect())
 }
 
 /// Steady speed (rpm) and start-up lag (s) of the model: it is symmetric, so every run turns clockwise here.
@@ -446,7 +637,7 @@ fn start(
     for i in -12..=12 {
         let mut x = DVector::zeros(1 + RIVALS.len());
         x[0] = f64::from(i) * 0.15;
-        let y = predictions(observed, &with(base, &x), flavour);
+        let y = predictions(observed, 0, &with(base, &x), flavour);
         turns |= y.iter().take(observed.len()).any(|v| *v > 0.5);
         let n = observed.len();
         let cost: f64 = (0..n).map(|i| ((data[i] - y[i]) / sigma[i].max(0.02 * data[i].abs())).powi(2)).sum();
@@ -515,12 +706,14 @@ fn report(
     flavour: Flavour,
     base: &Parameters,
     observed: &[Observed],
+    stall_nm: &[f64],
     x: &DVector<f64>,
     y: &DVector<f64>,
     jacobian: &DMatrix<f64>,
     sigma: &[f64],
     priors: &[f64],
     covariance: &DMatrix<f64>,
+    ends: [f64; 2],
     alone: f64,
     misfit: f64,
 ) -> Report {
@@ -598,8 +791,11 @@ fn report(
     if observed.iter().all(|o| o.lag.is_none()) {
         notes.push("no run begins at its start: start-up, which tells torque from speed, was not used".to_owned());
     }
-    if observed.iter().all(|o| o.load_nm == 0.0) {
-        notes.push("no loaded run: `--loaded DUTY:NM:RPM` would bound the torque".to_owned());
+    if observed.iter().all(|o| o.load_nm == 0.0) && stall_nm.is_empty() {
+        notes.push(
+            "no loaded run and no stall torque: `--loaded DUTY:NM:RPM` or `--torque-runs FILE` would bound the torque"
+                .to_owned(),
+        );
     }
     Report {
         schema: 1,
@@ -607,10 +803,12 @@ fn report(
         motor: motor.name.clone(),
         flavour,
         eta_n_v: eta,
-        ci95: around(sd),
+        ci95: ends.map(|x0| base.force_factor_n_v * x0.exp()),
         ci95_others_exact: around(alone),
         trades,
         runs,
+        stall_nm: stall(&with(base, x)),
+        stall_measured_nm: stall_nm.to_vec(),
         r2_speed: (duties.len() >= 3 && total > 0.0).then(|| 1.0 - left / total),
         misfit,
         notes,
@@ -660,6 +858,10 @@ impl Report {
                 ms(r.model_lag_s)
             );
         }
+        let mm = |t: f64| format!("{:.2}", 1e3 * t);
+        let measured: Vec<String> = self.stall_measured_nm.iter().map(|t| mm(*t)).collect();
+        let beside = if measured.is_empty() { String::new() } else { format!(", measured {}", measured.join(", ")) };
+        let _ = writeln!(out, "\nstall torque of the fitted model {} mN m{beside}", mm(self.stall_nm));
         if let Some(r2) = self.r2_speed {
             let _ = writeln!(out, "\nR2 of the speeds {r2:.4}");
         }

@@ -106,9 +106,11 @@ fn line(path: &Path, line: usize, message: impl Into<String>) -> ReadError {
 fn text(path: &Path) -> Result<String, ReadError> {
     let bytes = crate::input::bytes(path, crate::input::MEASURED)
         .map_err(|cause| ReadError::Io { path: path.to_owned(), cause })?;
-    String::from_utf8(bytes)
-        .map(|t| t.trim_start_matches('\u{feff}').to_owned())
-        .map_err(|_| file(path, "is not text; expected CSV or Touchstone"))
+    let mut text = String::from_utf8(bytes).map_err(|_| file(path, "is not text; expected CSV or Touchstone"))?;
+    if text.starts_with('\u{feff}') {
+        text.remove(0);
+    }
+    Ok(text)
 }
 
 /// The rows of a CSV file, cut down to the columns asked for.

@@ -103,7 +103,12 @@ impl Basis {
                 }
                 *c = y - grid.step * mean;
             }
+            let before = beta;
             beta = self.solve(corrected.iter().copied());
+            // The bias to remove is a hundredth of a step.
+            if (beta - before).amax() < 1e-5 * grid.step {
+                break;
+            }
         }
         let rss = self.rows.iter().zip(&corrected).map(|(x, y)| (y - x.dot(&beta)).powi(2)).sum();
         Some(self.sine(beta, rss))
@@ -123,7 +128,7 @@ impl Grid {
     /// The grid that values lie on; `None` when they lie on none that is coarse enough to matter.
     pub fn of(volt: &[f64]) -> Option<Self> {
         let mut distinct = volt.to_vec();
-        distinct.sort_by(f64::total_cmp);
+        distinct.sort_unstable_by(f64::total_cmp);
         let origin = *distinct.first()?;
         let span = distinct.last()? - origin;
         let step = distinct.windows(2).map(|w| w[1] - w[0]).filter(|d| *d > span * 1e-6).fold(f64::INFINITY, f64::min);
@@ -147,30 +152,30 @@ pub fn fit_at(frequency_hz: f64, time_s: &[f64], volt: &[f64]) -> Option<Sine> {
 
 /// The least-squares sine with a free frequency, started at `frequency_hz`: the thesis's fit of each channel by itself.
 pub fn fit_free(frequency_hz: f64, time_s: &[f64], volt: &[f64]) -> Option<Sine> {
-    let mut best = fit_at(frequency_hz, time_s, volt)?;
-    let mut f = frequency_hz;
+    let first = fit_at(frequency_hz, time_s, volt)?;
+    let (mut f, mut phasor) = (frequency_hz, first.phasor);
     for _ in 0..20 {
-        let (a, b) = (best.phasor.re, best.phasor.im);
         let mut normal = Matrix4::zeros();
         let mut right = Vector4::zeros();
         for (&t, &y) in time_s.iter().zip(volt) {
             let (s, c) = (TAU * f * t).sin_cos();
-            let x = Vector4::new(s, c, 1.0, TAU * t * (a * c - b * s));
+            let x = Vector4::new(s, c, 1.0, TAU * t * (phasor.re * c - phasor.im * s));
             normal += x * x.transpose();
             right += x * y;
         }
-        let step = (normal.try_inverse()? * right)[3];
+        let next = normal.try_inverse()? * right;
+        let step = next[3];
         // A step beyond a tenth of the frequency has left the neighbourhood where the linearisation holds.
         if !step.is_finite() || step.abs() > 0.1 * f {
-            return Some(best);
+            return Some(first);
         }
         f += step;
-        best = fit_at(f, time_s, volt)?;
+        phasor = Complex::new(next[0], next[1]);
         if step.abs() < 1e-9 * f {
             break;
         }
     }
-    Some(best)
+    fit_at(f, time_s, volt)
 }
 
 #[cfg(test)]

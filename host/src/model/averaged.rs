@@ -15,6 +15,7 @@ use super::half_contact_table::HalfContactTable;
 use super::modulation::Modulation;
 use super::parameters::{Flavour, Parameters};
 use super::plant::{Drive, Segment};
+use super::stretches::Stretches;
 use std::f64::consts::PI;
 
 /// Largest change of the wave and of the rotor in one step, as a share of the largest amplitude and speed.
@@ -165,9 +166,6 @@ struct Pressed {
     gone: f64,
 }
 
-/// How many stretches of drive are remembered: on and off, in both directions.
-const MEMORY: usize = 4;
-
 /// What decides how the rotor moves on, its angle aside.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Momentary {
@@ -182,6 +180,16 @@ impl Momentary {
     pub(super) const REST: Momentary =
         Momentary { waves: [Complex::ZERO; 2], speed_rad_s: 0.0, turning: 0.0, bristle_rad: 0.0 };
 
+    /// What two states are the same by.
+    pub(super) fn bits(&self) -> [u64; 7] {
+        let [cw, ccw] = self.waves;
+        [cw.re, cw.im, ccw.re, ccw.im, self.speed_rad_s, self.turning, self.bristle_rad].map(f64::to_bits)
+    }
+
+    pub(super) fn speed_rad_s(&self) -> f64 {
+        self.speed_rad_s
+    }
+
     pub(super) fn at_rest(&self) -> bool {
         *self == Momentary::REST
     }
@@ -195,19 +203,6 @@ impl Momentary {
             bristle_rad: sum.bristle_rad + weight * part.bristle_rad,
         })
     }
-}
-
-/// A stretch under constant drive: from where, what it was, how it ended.
-#[derive(Debug, Clone)]
-struct Stretch {
-    start: Momentary,
-    duration_s: f64,
-    level: f64,
-    sense: f64,
-    modulation: Modulation,
-    /// End of each step after the start (s), angle turned since the start (rad), speed (rad/s).
-    steps: Vec<(f64, f64, f64)>,
-    end: Momentary,
 }
 
 /// The averaged model of one motor.
@@ -233,8 +228,7 @@ pub struct Averaged {
     /// What the crest's turning added to amplitude·ω one step ago (m/s).
     turning: f64,
     steps: u64,
-    memory: Vec<Stretch>,
-    next_memory: usize,
+    stretches: Stretches,
 }
 
 impl Averaged {
@@ -257,8 +251,7 @@ impl Averaged {
             bristle_rad: 0.0,
             turning: 0.0,
             steps: 0,
-            memory: Vec::new(),
-            next_memory: 0,
+            stretches: Stretches::default(),
         };
         let linear = coefficients.source / coefficients.detuning.square().sqrt();
         model.reference_m = linear.max(1e-12);
@@ -335,6 +328,7 @@ impl Averaged {
         if *modulation != self.modulation {
             self.modulation = *modulation;
             self.coefficients = Coefficients::new(&self.parameters, self.flavour, modulation);
+            self.stretches.modulate(modulation);
         }
     }
 
@@ -403,46 +397,16 @@ impl Averaged {
         self.advance_at_most(until_s, drive, f64::INFINITY, observe);
     }
 
-    /// As [`Averaged::advance`], remembering what it did: a PWM period that starts from the same state under the same drive as one
+    /// As [`Averaged::advance`], remembering what it did: a stretch that starts from the same state under the same drive as one
     /// before is replayed, not computed. A motor that stops in every off part repeats itself exactly.
     pub fn advance_remembering(&mut self, until_s: f64, drive: Drive, observe: &mut dyn FnMut(&Segment)) {
         let start = self.momentary();
         let (start_s, start_rad) = (self.time_s, self.position_rad);
-        let duration_s = until_s - start_s;
-        if duration_s <= 0.0 {
+        if until_s <= start_s {
             return;
         }
-        let known = self.memory.iter().position(|stretch| {
-            stretch.start == start
-                && (stretch.duration_s - duration_s).abs() < 1e-11
-                && stretch.level == drive.level
-                && stretch.sense == drive.sign()
-                && stretch.modulation == self.modulation
-        });
-        if let Some(known) = known {
-            let stretch = &self.memory[known];
-            let mut last = Segment {
-                start_s,
-                end_s: start_s,
-                start_rad,
-                end_rad: start_rad,
-                start_rad_s: self.speed_rad_s,
-                end_rad_s: self.speed_rad_s,
-            };
-            let count = stretch.steps.len();
-            for (i, &(after_s, turned_rad, speed)) in stretch.steps.iter().enumerate() {
-                last = Segment {
-                    start_s: last.end_s,
-                    end_s: if i + 1 == count { until_s } else { start_s + after_s },
-                    start_rad: last.end_rad,
-                    end_rad: start_rad + turned_rad,
-                    start_rad_s: last.end_rad_s,
-                    end_rad_s: speed,
-                };
-                observe(&last);
-            }
-            let end = stretch.end;
-            self.resume(until_s, last.end_rad, end);
+        if let Some((end_rad, end)) = self.stretches.replay(&start, (start_s, start_rad), until_s, drive, observe) {
+            self.resume(until_s, end_rad, end);
             return;
         }
         let mut steps = Vec::new();
@@ -451,21 +415,12 @@ impl Averaged {
             observe(segment);
         }) {}
         let end = self.momentary();
-        let stretch = Stretch {
-            start,
-            duration_s,
-            level: drive.level,
-            sense: drive.sign(),
-            modulation: self.modulation,
-            steps,
-            end,
-        };
-        if self.memory.len() < MEMORY {
-            self.memory.push(stretch);
-        } else {
-            self.memory[self.next_memory] = stretch;
-        }
-        self.next_memory = (self.next_memory + 1) % MEMORY;
+        self.stretches.keep(&start, until_s - start_s, drive, steps, end);
+    }
+
+    /// Whether the rotor comes to rest soon after the wave: then even short stretches come again.
+    pub(super) fn stops(&self) -> bool {
+        self.flavour == Flavour::Physical
     }
 
     /// As [`Averaged::advance`], in one step of at most `longest_s` and never past `until_s`. Returns whether it got there.
@@ -524,7 +479,7 @@ impl Averaged {
         let mut h = longest.min(LONGEST_S).min(CHANGE * self.reference_m / pace.max(1e-300));
         if self.flavour == Flavour::Thesis {
             // The listed torque goes with the wave's amplitude all the way down.
-            h = h.min(0.5 * self.amplitude_m().max(3e-3 * self.reference_m) / pace.max(1e-300));
+            h = h.min(0.25 * self.amplitude_m().max(3e-3 * self.reference_m) / pace.max(1e-300));
         }
         if f0.abs() > CHANGE * self.reference_rad_s * s0.abs() {
             h = h.min((CHANGE * self.reference_rad_s / f0.abs()).max(1e-6));

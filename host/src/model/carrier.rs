@@ -3,9 +3,13 @@
 //! States, in order: the two modes' displacements w1, w2 (m), their velocities (m/s), the rotor's height z (m) and its
 //! velocity (m/s), the rotor's angle θ (rad) and speed (rad/s). The listing's system matrices are section A.6.1's; the input
 //! vector they lack is η·V + FN + FT on each mode, Fint − Fext on the height and Tint − Tload on the angle.
+//!
+//! A derivative is a chain of roots and arccosines in which most of the processor waits. [`SideBySide`] integrates several
+//! motors in the lanes of its vector instructions, at some four times the steps a second.
 
-use super::arccosine::acos;
+use super::arccosine::acos_of;
 use super::contact::Contact;
+use super::lanes::Lanes;
 use super::modulation::Modulation;
 use super::parameters::{Flavour, Parameters};
 use super::plant::Drive;
@@ -28,75 +32,189 @@ pub type State = [f64; 8];
 pub struct Carrier {
     parameters: Parameters,
     flavour: Flavour,
-    coefficients: Coefficients,
+    coefficients: Coefficients<1>,
     state: State,
     /// Phase of the supply (rad), kept in 0..2π.
     phase: f64,
-    direction: f64,
     step_s: f64,
     steps: u64,
 }
 
 /// What one derivative needs, all divided out beforehand.
 #[derive(Debug, Clone, Copy)]
-struct Coefficients {
+struct Coefficients<const N: usize> {
     /// Ks/Ms, Cs/Ms (1/s², 1/s).
-    stiffness: f64,
-    damping: f64,
+    stiffness: Lanes<N>,
+    damping: Lanes<N>,
     /// Normal and tangential feedback over Ms (1/s²); the second without friction.
-    normal: f64,
-    tangential: f64,
+    normal: Lanes<N>,
+    tangential: Lanes<N>,
     /// 2·Rr·R0·Cn (N/m).
-    force: f64,
+    force: Lanes<N>,
     /// Rotor speed that keeps up with a crest moving at 1 m/s times h·k·Rr (rad/s per m/s).
-    rotor_per_crest: f64,
+    rotor_per_crest: Lanes<N>,
     /// The listing's stick condition, R0² in the place of R0: this times speed over amplitude is cos ψ (m per rad/s).
-    listed_amplitude_per_rotor: f64,
-    wmin: f64,
-    shape_inv: f64,
-    radius: f64,
-    friction: f64,
-    off_friction: f64,
-    preload: f64,
-    load: f64,
+    listed_amplitude_per_rotor: Lanes<N>,
+    wmin: Lanes<N>,
+    shape_inv: Lanes<N>,
+    radius: Lanes<N>,
+    friction: Lanes<N>,
+    off_friction: Lanes<N>,
+    preload: Lanes<N>,
+    load: Lanes<N>,
+    rotor_mass_inv: Lanes<N>,
+    vertical_damping: Lanes<N>,
+    inertia_inv: Lanes<N>,
+    rotational_damping: Lanes<N>,
+    braking: Option<Braking>,
+}
+
+/// Friction that effects add, the same for every lane.
+#[derive(Debug, Clone, Copy)]
+struct Braking {
     brake: f64,
     off_brake: f64,
     stribeck: f64,
     stribeck_speed_inv: f64,
-    rotor_mass_inv: f64,
-    vertical_damping: f64,
-    inertia_inv: f64,
-    rotational_damping: f64,
 }
 
-impl Coefficients {
-    fn new(p: &Parameters, m: &Modulation) -> Self {
-        let c = Contact::new(p);
-        let stiffness_n_m = p.modal_stiffness_n_m * (1.0 + m.resonance_shift_hz / p.resonance_hz()).powi(2);
-        Coefficients {
-            stiffness: stiffness_n_m / p.modal_mass_kg,
-            damping: p.modal_damping_ns_m / p.modal_mass_kg,
-            normal: c.normal_n_m / p.modal_mass_kg,
-            tangential: c.tangential_n_m / p.modal_mass_kg,
-            force: c.force_n_m,
-            rotor_per_crest: c.surface / c.radius_m,
-            listed_amplitude_per_rotor: c.radius_m * c.radius_m / (c.surface * p.omega()),
-            wmin: p.wmin_m(),
-            shape_inv: 1.0 / c.shape,
-            radius: c.radius_m,
-            friction: p.friction * m.friction,
-            off_friction: p.off_friction * m.friction,
-            preload: p.preload_n * m.preload,
-            load: p.load_nm + m.load_nm,
+impl<const N: usize> Coefficients<N> {
+    fn new(parameters: &[Parameters; N], m: &Modulation) -> Self {
+        let contacts = parameters.each_ref().map(Contact::new);
+        let of =
+            |f: &dyn Fn(&Parameters, &Contact) -> f64| Lanes(std::array::from_fn(|i| f(&parameters[i], &contacts[i])));
+        let stretch = |p: &Parameters| (1.0 + m.resonance_shift_hz / p.resonance_hz()).powi(2);
+        let braking = Braking {
             brake: m.brake_nm,
             off_brake: m.off_brake_nm,
             stribeck: m.stribeck_nm,
             stribeck_speed_inv: 1.0 / m.stribeck_rad_s,
-            rotor_mass_inv: 1.0 / p.rotor_mass_kg,
-            vertical_damping: p.vertical_damping_ns_m,
-            inertia_inv: 1.0 / p.rotor_inertia_kg_m2,
-            rotational_damping: p.rotational_damping_nms,
+        };
+        Coefficients {
+            stiffness: of(&|p, _| p.modal_stiffness_n_m * stretch(p) / p.modal_mass_kg),
+            damping: of(&|p, _| p.modal_damping_ns_m / p.modal_mass_kg),
+            normal: of(&|p, c| c.normal_n_m / p.modal_mass_kg),
+            tangential: of(&|p, c| c.tangential_n_m / p.modal_mass_kg),
+            force: of(&|_, c| c.force_n_m),
+            rotor_per_crest: of(&|_, c| c.surface / c.radius_m),
+            listed_amplitude_per_rotor: of(&|p, c| c.radius_m * c.radius_m / (c.surface * p.omega())),
+            wmin: of(&|p, _| p.wmin_m()),
+            shape_inv: of(&|_, c| 1.0 / c.shape),
+            radius: of(&|_, c| c.radius_m),
+            friction: of(&|p, _| p.friction * m.friction),
+            off_friction: of(&|p, _| p.off_friction * m.friction),
+            preload: of(&|p, _| p.preload_n * m.preload),
+            load: of(&|p, _| p.load_nm + m.load_nm),
+            rotor_mass_inv: of(&|p, _| 1.0 / p.rotor_mass_kg),
+            vertical_damping: of(&|p, _| p.vertical_damping_ns_m),
+            inertia_inv: of(&|p, _| 1.0 / p.rotor_inertia_kg_m2),
+            rotational_damping: of(&|p, _| p.rotational_damping_nms),
+            braking: (m.brake_nm != 0.0 || m.off_brake_nm != 0.0 || m.stribeck_nm != 0.0).then_some(braking),
         }
+    }
+}
+
+/// A supply with a phase of its own in every lane.
+#[derive(Debug, Clone, Copy)]
+struct Supply<const N: usize> {
+    /// Phase at the start (rad).
+    phase: [f64; N],
+    /// rad/s.
+    omega: [f64; N],
+    /// Force over modal mass (m/s²).
+    amplitude: [f64; N],
+    /// Sense of travel, ±1.
+    sense: Lanes<N>,
+}
+
+impl<const N: usize> Supply<N> {
+    fn new(parameters: &[Parameters; N], phase: [f64; N], drive: [Drive; N], m: &Modulation) -> Self {
+        Supply {
+            phase,
+            omega: parameters.each_ref().map(|p| p.omega() + 2.0 * PI * m.drive_shift_hz),
+            amplitude: std::array::from_fn(|i| {
+                let p = &parameters[i];
+                drive[i].level * m.voltage * p.force_factor_n_v * p.vmax() / p.modal_mass_kg
+            }),
+            sense: Lanes(drive.map(|d| d.sign())),
+        }
+    }
+
+    fn phase_after(&self, duration_s: f64) -> [f64; N] {
+        std::array::from_fn(|i| (self.phase[i] + self.omega[i] * duration_s).rem_euclid(2.0 * PI))
+    }
+}
+
+/// Number and length of the equal steps, none longer than `longest_s`.
+fn steps_of(duration_s: f64, longest_s: f64) -> (u64, f64) {
+    let count = (duration_s / longest_s * (1.0 - 1e-9)).ceil().max(1.0);
+    (count as u64, duration_s / count)
+}
+
+/// The rotor's height at rest (m).
+fn resting_height_m(p: &Parameters, flavour: Flavour) -> f64 {
+    match flavour {
+        Flavour::Thesis => 0.0,
+        // Without a wave the contact is a spring of stiffness 2π·R0·Cn.
+        Flavour::Physical => -p.preload_n / (2.0 * PI * p.contact_radius_m * p.contact_stiffness_n_m2),
+    }
+}
+
+/// `N` motors of one flavour, integrated together in the lanes of vector instructions: each as [`Carrier`] would, step for
+/// step. For sweeps; effects act on single motors only.
+#[derive(Debug, Clone)]
+pub struct SideBySide<const N: usize> {
+    parameters: [Parameters; N],
+    flavour: Flavour,
+    coefficients: Coefficients<N>,
+    state: [Lanes<N>; 8],
+    phase: [f64; N],
+    step_s: f64,
+    steps: u64,
+}
+
+impl<const N: usize> SideBySide<N> {
+    /// Motors at rest.
+    pub fn new(parameters: [Parameters; N], flavour: Flavour) -> Self {
+        let mut state = [Lanes::all(0.0); 8];
+        state[4] = Lanes(parameters.each_ref().map(|p| resting_height_m(p, flavour)));
+        SideBySide {
+            coefficients: Coefficients::new(&parameters, &Modulation::NONE),
+            parameters,
+            flavour,
+            state,
+            phase: [0.0; N],
+            step_s: STEP_S,
+            steps: 0,
+        }
+    }
+
+    /// The largest step to take (s); the default is [`STEP_S`].
+    pub fn with_step(mut self, step_s: f64) -> Self {
+        self.step_s = step_s;
+        self
+    }
+
+    /// The eight states of one motor.
+    pub fn state(&self, lane: usize) -> State {
+        self.state.map(|s| s.0[lane])
+    }
+
+    /// Steps taken since the start, by each motor.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// Integrates `duration_s`, each motor under its own constant drive.
+    pub fn run(&mut self, duration_s: f64, drive: [Drive; N]) {
+        if duration_s <= 0.0 {
+            return;
+        }
+        let (count, h) = steps_of(duration_s, self.step_s);
+        let supply = Supply::new(&self.parameters, self.phase, drive, &Modulation::NONE);
+        integrate(&self.coefficients, &supply, self.flavour, &mut self.state, count, h);
+        self.phase = supply.phase_after(duration_s);
+        self.steps += count;
     }
 }
 
@@ -104,18 +222,13 @@ impl Carrier {
     /// A motor at rest, rotor where the preload holds it.
     pub fn new(parameters: Parameters, flavour: Flavour) -> Self {
         let mut state = [0.0; 8];
-        if flavour == Flavour::Physical {
-            // Without a wave the contact is a spring of stiffness 2π·R0·Cn.
-            state[4] =
-                -parameters.preload_n / (2.0 * PI * parameters.contact_radius_m * parameters.contact_stiffness_n_m2);
-        }
+        state[4] = resting_height_m(&parameters, flavour);
         Carrier {
-            coefficients: Coefficients::new(&parameters, &Modulation::NONE),
+            coefficients: Coefficients::new(&[parameters], &Modulation::NONE),
             parameters,
             flavour,
             state,
             phase: 0.0,
-            direction: 1.0,
             step_s: STEP_S,
             steps: 0,
         }
@@ -149,7 +262,7 @@ impl Carrier {
 
     /// Takes over what the effects change; cheap, but not free: do it every few microseconds, not every step.
     pub fn modulate(&mut self, modulation: &Modulation) {
-        self.coefficients = Coefficients::new(&self.parameters, modulation);
+        self.coefficients = Coefficients::new(&[self.parameters], modulation);
     }
 
     /// Integrates `duration_s` under a constant drive, in equal steps no longer than the step set.
@@ -157,44 +270,12 @@ impl Carrier {
         if duration_s <= 0.0 {
             return;
         }
-        self.direction = drive.sign();
-        let count = (duration_s / self.step_s * (1.0 - 1e-9)).ceil().max(1.0);
-        let h = duration_s / count;
-        let omega = self.parameters.omega() + 2.0 * PI * modulation.drive_shift_hz;
-        let amplitude = drive.level * modulation.voltage * self.parameters.force_factor_n_v * self.parameters.vmax()
-            / self.parameters.modal_mass_kg;
-        match self.flavour {
-            Flavour::Thesis => self.march::<false>(count as u64, h, omega, amplitude),
-            Flavour::Physical => self.march::<true>(count as u64, h, omega, amplitude),
-        }
-        self.phase = (self.phase + omega * duration_s).rem_euclid(2.0 * PI);
-    }
-
-    fn march<const PHYSICAL: bool>(&mut self, count: u64, h: f64, omega: f64, amplitude: f64) {
-        let c = &self.coefficients;
-        let direction = self.direction;
-        // The supply's phasor is turned, not recomputed; every 1024 steps it is set afresh, so it cannot drift.
-        let (half_sin, half_cos) = (0.5 * omega * h).sin_cos();
-        let turn = |(x, y): (f64, f64)| (x * half_cos - y * half_sin, x * half_sin + y * half_cos);
-        let mut phasor = (0.0, 0.0);
-        let mut s = self.state;
-        for i in 0..count {
-            if i % 1024 == 0 {
-                let (sin, cos) = (self.phase + omega * h * i as f64).sin_cos();
-                phasor = (amplitude * cos, amplitude * sin);
-            }
-            let middle = turn(phasor);
-            let end = turn(middle);
-            let k1 = derivative::<PHYSICAL>(c, &s, phasor, direction);
-            let k2 = derivative::<PHYSICAL>(c, &along(&s, &k1, 0.5 * h), middle, direction);
-            let k3 = derivative::<PHYSICAL>(c, &along(&s, &k2, 0.5 * h), middle, direction);
-            let k4 = derivative::<PHYSICAL>(c, &along(&s, &k3, h), end, direction);
-            for j in 0..8 {
-                s[j] += h / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j]);
-            }
-            phasor = end;
-        }
-        self.state = s;
+        let (count, h) = steps_of(duration_s, self.step_s);
+        let supply = Supply::new(&[self.parameters], [self.phase], [drive], modulation);
+        let mut state = self.state.map(|x| Lanes([x]));
+        integrate(&self.coefficients, &supply, self.flavour, &mut state, count, h);
+        self.state = state.map(|x| x.0[0]);
+        [self.phase] = supply.phase_after(duration_s);
         self.steps += count;
     }
 
@@ -251,13 +332,23 @@ pub struct Ledger {
 
 /// Power lost to sliding: friction times the difference of the surfaces' speeds, integrated over the contact.
 #[allow(clippy::too_many_arguments)]
-fn slip(c: &Coefficients, w1: f64, w2: f64, v1: f64, v2: f64, phi: f64, zeta: f64, speed: f64, amplitude: f64) -> f64 {
-    let crest = c.rotor_per_crest * (w1 * v2 - w2 * v1) / amplitude;
+fn slip(
+    c: &Coefficients<1>,
+    w1: f64,
+    w2: f64,
+    v1: f64,
+    v2: f64,
+    phi: f64,
+    zeta: f64,
+    speed: f64,
+    amplitude: f64,
+) -> f64 {
+    let crest = c.rotor_per_crest.0[0] * (w1 * v2 - w2 * v1) / amplitude;
     let sense = if crest < 0.0 { -1.0 } else { 1.0 };
     let ratio = (sense * speed / crest.abs().max(CREEP_RAD_S)).clamp(-1.0, 1.0);
     let psi = ratio.acos().min(phi);
-    let friction = friction_of(c, phi);
-    let scale = friction * c.radius * c.force * amplitude;
+    let [friction] = friction_of(c, Lanes([phi])).0;
+    let scale = friction * c.radius.0[0] * c.force.0[0] * amplitude;
     // ∫ p·sign(slip)·(crest·cos x − speed): the crest's part is half the wave's work, the rotor's part is the torque.
     let wave = super::contact::wave_work(psi, zeta) - 0.5 * super::contact::wave_work(phi, zeta);
     let rotor = 2.0 * super::contact::beta(psi, zeta) - super::contact::beta(phi, zeta);
@@ -266,56 +357,148 @@ fn slip(c: &Coefficients, w1: f64, w2: f64, v1: f64, v2: f64, phi: f64, zeta: f6
 
 /// Friction under a wave, or without one: from `u` to `uoff` as the contact closes from half the stator to all of it.
 #[inline(always)]
-fn friction_of(c: &Coefficients, phi: f64) -> f64 {
+fn friction_of<const N: usize>(c: &Coefficients<N>, phi: Lanes<N>) -> Lanes<N> {
     c.friction + (c.off_friction - c.friction) * closed(phi)
 }
 
 /// The measure in which a contact of half-angle φ has closed: 0 up to a quarter wave, 1 when all of the stator touches.
 #[inline(always)]
-fn closed(phi: f64) -> f64 {
-    (phi * std::f64::consts::FRAC_2_PI - 1.0).max(0.0)
+fn closed<const N: usize>(phi: Lanes<N>) -> Lanes<N> {
+    (std::f64::consts::FRAC_2_PI * phi - Lanes::all(1.0)).at_least(0.0)
+}
+
+/// Takes `count` steps of length `h`, with the widest instructions the processor has.
+fn integrate<const N: usize>(
+    c: &Coefficients<N>,
+    supply: &Supply<N>,
+    flavour: Flavour,
+    state: &mut [Lanes<N>; 8],
+    count: u64,
+    h: f64,
+) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: all the function asks for is a processor with AVX2, and this is one.
+        unsafe { march_avx2(c, supply, flavour, state, count, h) };
+        return;
+    }
+    march(c, supply, flavour, state, count, h);
+}
+
+/// [`march`] compiled for AVX2: the same operations in the same order, hence the same bits, four lanes at a time.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn march_avx2<const N: usize>(
+    c: &Coefficients<N>,
+    supply: &Supply<N>,
+    flavour: Flavour,
+    state: &mut [Lanes<N>; 8],
+    count: u64,
+    h: f64,
+) {
+    march(c, supply, flavour, state, count, h);
 }
 
 #[inline(always)]
-fn along(s: &State, k: &State, h: f64) -> State {
+fn march<const N: usize>(
+    c: &Coefficients<N>,
+    supply: &Supply<N>,
+    flavour: Flavour,
+    state: &mut [Lanes<N>; 8],
+    count: u64,
+    h: f64,
+) {
+    match flavour {
+        Flavour::Thesis => march_in::<N, false>(c, supply, state, count, h),
+        Flavour::Physical => march_in::<N, true>(c, supply, state, count, h),
+    }
+}
+
+#[inline(always)]
+fn march_in<const N: usize, const PHYSICAL: bool>(
+    c: &Coefficients<N>,
+    supply: &Supply<N>,
+    state: &mut [Lanes<N>; 8],
+    count: u64,
+    h: f64,
+) {
+    // The supply's phasor is turned, not recomputed; every 1024 steps it is set afresh, so it cannot drift.
+    let half_cos = Lanes(supply.omega.map(|omega| (0.5 * omega * h).cos()));
+    let half_sin = Lanes(supply.omega.map(|omega| (0.5 * omega * h).sin()));
+    let turn = |(x, y): (Lanes<N>, Lanes<N>)| (x * half_cos - y * half_sin, x * half_sin + y * half_cos);
+    let mut phasor = (Lanes::all(0.0), Lanes::all(0.0));
+    let mut s = *state;
+    for i in 0..count {
+        if i % 1024 == 0 {
+            for lane in 0..N {
+                let (sin, cos) = (supply.phase[lane] + supply.omega[lane] * h * i as f64).sin_cos();
+                phasor.0.0[lane] = supply.amplitude[lane] * cos;
+                phasor.1.0[lane] = supply.amplitude[lane] * sin;
+            }
+        }
+        let middle = turn(phasor);
+        let end = turn(middle);
+        let k1 = derivative::<N, PHYSICAL>(c, &s, phasor, supply.sense);
+        let k2 = derivative::<N, PHYSICAL>(c, &along(&s, &k1, 0.5 * h), middle, supply.sense);
+        let k3 = derivative::<N, PHYSICAL>(c, &along(&s, &k2, 0.5 * h), middle, supply.sense);
+        let k4 = derivative::<N, PHYSICAL>(c, &along(&s, &k3, h), end, supply.sense);
+        for j in 0..8 {
+            s[j] = s[j] + h / 6.0 * (k1[j] + 2.0 * (k2[j] + k3[j]) + k4[j]);
+        }
+        phasor = end;
+    }
+    *state = s;
+}
+
+#[inline(always)]
+fn along<const N: usize>(s: &[Lanes<N>; 8], k: &[Lanes<N>; 8], h: f64) -> [Lanes<N>; 8] {
     let mut r = *s;
     for j in 0..8 {
-        r[j] += h * k[j];
+        r[j] = r[j] + h * k[j];
     }
     r
 }
 
 #[inline(always)]
-fn derivative<const PHYSICAL: bool>(c: &Coefficients, s: &State, (cos, sin): (f64, f64), direction: f64) -> State {
-    if PHYSICAL { physical(c, s, cos, direction * sin) } else { thesis(c, s, cos, direction * sin) }
+fn derivative<const N: usize, const PHYSICAL: bool>(
+    c: &Coefficients<N>,
+    s: &[Lanes<N>; 8],
+    (cos, sin): (Lanes<N>, Lanes<N>),
+    sense: Lanes<N>,
+) -> [Lanes<N>; 8] {
+    if PHYSICAL { physical(c, s, cos, sense * sin) } else { thesis(c, s, cos, sense * sin) }
 }
 
 /// Sections A.6.1 and A.6.2, with the missing input vector. For a wave running the other way the two modes change roles.
 #[inline(always)]
-fn thesis(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
+fn thesis<const N: usize>(c: &Coefficients<N>, s: &[Lanes<N>; 8], drive1: Lanes<N>, drive2: Lanes<N>) -> [Lanes<N>; 8] {
     let [w1, w2, v1, v2, z, zd, _, speed] = *s;
+    let (zero, one) = (Lanes::all(0.0), Lanes::all(1.0));
     let square = w1 * w1 + w2 * w2;
-    let floored = square.max(c.wmin * c.wmin);
+    let least = c.wmin * c.wmin;
+    let floored = square.where_below(least, least, square);
     let (travelling, amplitude) = (square.sqrt(), floored.sqrt());
     // 1/W as W/W²: the division need not wait for the root.
     let inverse = amplitude * (1.0 / floored);
-    let sense = if w1 * v2 - w2 * v1 < 0.0 { -1.0 } else { 1.0 };
-    let cx = (z * c.shape_inv * inverse).clamp(-1.0, 1.0);
-    let phi = acos(cx);
+    let sense = (w1 * v2 - w2 * v1).where_below(zero, -one, one);
+    let cx = (z * c.shape_inv * inverse).at_least(-1.0).at_most(1.0);
+    let phi = acos_of(cx);
     let sx = (1.0 - cx * cx).sqrt();
-    let ratio = (sense * speed * c.listed_amplitude_per_rotor * inverse).clamp(-1.0, 1.0);
-    let (psi, cs) = if ratio <= cx { (phi, cx) } else { (acos(ratio), ratio) };
+    let ratio = (sense * speed * c.listed_amplitude_per_rotor * inverse).at_least(-1.0).at_most(1.0);
+    let psi = cx.where_below(ratio, acos_of(ratio), phi);
+    let cs = cx.where_below(ratio, ratio, cx);
     let ss = (1.0 - cs * cs).sqrt();
 
     let g1 = 2.0 * (psi - 0.5 * phi + ss * cs - 0.5 * sx * cx - cx * (2.0 * ss - sx));
-    let g2 = 2.0 * ss * ss - sx * sx - 2.0 * cx * cx + 4.0 * cx * cs - 2.0;
+    let g2 = 2.0 * ss * ss - sx * sx - 2.0 * cx * cx + 4.0 * cx * cs - Lanes::all(2.0);
     let beta_x = sx - phi * cx;
     let beta_s = ss - psi * cx;
 
-    let normal = -c.normal * (phi - sx * cx);
+    let normal = -(c.normal * (phi - sx * cx));
     let tangential = c.friction * c.tangential;
     let force = c.force * amplitude * beta_x - c.preload;
     let torque = sense * c.friction * c.force * travelling * c.radius * (2.0 * beta_s - beta_x);
+    let gone = 1.0 - travelling / amplitude;
     [
         v1,
         v2,
@@ -324,31 +507,41 @@ fn thesis(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
         zd,
         (force - c.vertical_damping * zd) * c.rotor_mass_inv,
         speed,
-        (torque - c.rotational_damping * speed - c.load - braking(c, speed, 1.0 - travelling / amplitude))
-            * c.inertia_inv,
+        (torque - c.rotational_damping * speed - c.load - braking(c, speed, gone)) * c.inertia_inv,
     ]
 }
 
 /// The same equations with the corrections of `docs/model.md`: R0 in the stick condition, the crest's own turning rate in
 /// place of ω, full contact below the trough, friction without a wave, no in-phase tangential force.
 #[inline(always)]
-fn physical(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
+fn physical<const N: usize>(
+    c: &Coefficients<N>,
+    s: &[Lanes<N>; 8],
+    drive1: Lanes<N>,
+    drive2: Lanes<N>,
+) -> [Lanes<N>; 8] {
     let [w1, w2, v1, v2, z, zd, _, speed] = *s;
-    let square = (w1 * w1 + w2 * w2).max(AMPLITUDE_FLOOR_M * AMPLITUDE_FLOOR_M);
+    let (zero, one) = (Lanes::all(0.0), Lanes::all(1.0));
+    let square = (w1 * w1 + w2 * w2).at_least(AMPLITUDE_FLOOR_M * AMPLITUDE_FLOOR_M);
     let amplitude = square.sqrt();
     // 1/W as W/W²: the division need not wait for the root.
     let inverse = amplitude * (1.0 / square);
-    let crest = c.rotor_per_crest * (w1 * v2 - w2 * v1) * inverse;
-    let sense = if crest < 0.0 { -1.0 } else { 1.0 };
+    let turned = c.rotor_per_crest * (w1 * v2 - w2 * v1);
+    let crest = turned.abs() * inverse;
+    let sense = turned.where_below(zero, -one, one);
     let zeta = z * c.shape_inv * inverse;
-    let cx = zeta.clamp(-1.0, 1.0);
-    let phi = acos(cx);
+    let cx = zeta.at_least(-1.0).at_most(1.0);
+    let phi = acos_of(cx);
     let sx = (1.0 - cx * cx).sqrt();
-    let ratio = (sense * speed / crest.abs().max(CREEP_RAD_S)).clamp(-1.0, 1.0);
-    let (psi, cs) = if ratio <= cx { (phi, cx) } else { (acos(ratio), ratio) };
+    // Speed over crest, both times W: the division need not wait for the root either.
+    let least = CREEP_RAD_S * amplitude;
+    let against = turned.abs();
+    let ratio = (sense * speed * amplitude / against.where_below(least, least, against)).at_least(-1.0).at_most(1.0);
+    let psi = cx.where_below(ratio, acos_of(ratio), phi);
+    let cs = cx.where_below(ratio, ratio, cx);
     let ss = (1.0 - cs * cs).sqrt();
     // Above the crest nothing touches: φ = 0 and every term below vanishes, for which ζ has to stop at 1.
-    let zeta = zeta.min(1.0);
+    let zeta = zeta.at_most(1.0);
 
     let work_x = phi + sx * cx - 2.0 * zeta * sx;
     let work_s = psi + ss * cs - 2.0 * zeta * ss;
@@ -356,12 +549,13 @@ fn physical(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
     let beta_s = ss - psi * zeta;
 
     let friction = friction_of(c, phi);
-    let normal = -c.normal * work_x;
+    let normal = -(c.normal * work_x);
     // A surface that hardly moves is not rubbed at full strength, or a vanishing wave would be rubbed infinitely hard.
-    let creep = (crest.abs() * (1.0 / CREEP_RAD_S)).min(1.0);
+    let creep = ((1.0 / CREEP_RAD_S) * crest).at_most(1.0);
     let tangential = sense * creep * friction * c.tangential * (2.0 * work_s - work_x);
-    let force = c.force * amplitude * beta_x - c.preload;
-    let torque = sense * friction * c.force * amplitude * c.radius * (2.0 * beta_s - beta_x);
+    let carried = c.force * amplitude;
+    let force = carried * beta_x - c.preload;
+    let torque = sense * friction * carried * c.radius * (2.0 * beta_s - beta_x);
     [
         v1,
         v2,
@@ -376,10 +570,8 @@ fn physical(c: &Coefficients, s: &State, drive1: f64, drive2: f64) -> State {
 
 /// Friction that effects add, fading out below [`CREEP_RAD_S`]; `gone` is the measure in which the wave is.
 #[inline(always)]
-fn braking(c: &Coefficients, speed: f64, gone: f64) -> f64 {
-    if c.brake == 0.0 && c.off_brake == 0.0 && c.stribeck == 0.0 {
-        return 0.0;
-    }
-    let limit = c.brake + c.off_brake * gone + c.stribeck * (-(speed * c.stribeck_speed_inv).powi(2)).exp();
-    limit * (speed / CREEP_RAD_S).clamp(-1.0, 1.0)
+fn braking<const N: usize>(c: &Coefficients<N>, speed: Lanes<N>, gone: Lanes<N>) -> Lanes<N> {
+    let Some(b) = c.braking else { return Lanes::all(0.0) };
+    let fading = speed.each(|v| b.stribeck * (-(v * b.stribeck_speed_inv).powi(2)).exp());
+    (b.brake + b.off_brake * gone + fading) * speed.each(|v| (v / CREEP_RAD_S).clamp(-1.0, 1.0))
 }

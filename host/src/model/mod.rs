@@ -28,11 +28,13 @@ mod arccosine;
 pub mod averaged;
 mod blend;
 pub mod carrier;
+pub mod check;
 pub mod closed_loop;
 pub mod contact;
 pub mod effects;
 mod half_contact_table;
 pub mod inertial;
+mod lanes;
 pub mod modulation;
 pub mod motor;
 pub mod motor_plant;
@@ -40,6 +42,7 @@ pub mod parameters;
 pub mod plant;
 pub mod sensor;
 pub mod simulate;
+mod stretches;
 pub mod study;
 
 #[cfg(test)]

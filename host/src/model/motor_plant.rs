@@ -30,7 +30,8 @@ pub struct History {
 
 /// A pause of the drive longer than this makes the driver search its frequency anew (s); see `frequency-settling`.
 const RESTART_S: f64 = 0.1;
-/// A stretch of drive shorter than this is a control tick, not a part of a PWM period: it will not come again (s).
+/// A stretch of drive shorter than this is a control tick, not a part of a PWM period: it will not come again unless the rotor
+/// stops (s).
 const WORTH_REMEMBERING_S: f64 = 5.1e-4;
 /// Longest step while an effect changes the motor (s); an angle-dependent one sees 0.2° at full speed.
 const LONGEST_S: f64 = 1e-3;
@@ -248,8 +249,8 @@ impl Plant for MotorPlant {
             return;
         }
         let modulation = self.modulation(drive, self.position_rad());
-        if let (Model::Averaged(model), true) =
-            (&mut self.model, self.longest_s.is_infinite() && until_s - now_s > WORTH_REMEMBERING_S)
+        if let (Model::Averaged(model), true) = (&mut self.model, self.longest_s.is_infinite())
+            && (until_s - now_s > WORTH_REMEMBERING_S || model.stops())
         {
             let before = (model.time_s(), model.position_rad());
             model.modulate(&modulation);

@@ -1,10 +1,11 @@
 //! Questions asked of the motor model: its speed, its speed against duty, its speed against torque, its start.
 
 use super::actuator::Pwm;
+use super::carrier::SideBySide;
 use super::effects::EffectSet;
 use super::motor_plant::{History, MotorPlant, Solver};
 use super::parameters::{Flavour, ParameterError, Parameters};
-use super::plant::{Direction, Plant, Segment};
+use super::plant::{Direction, Drive, Plant, Segment};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::PI;
@@ -130,7 +131,8 @@ impl Setup {
     /// # Errors
     /// As [`Setup::check`].
     pub fn sweep(&self, duties: &[f64]) -> Result<Vec<(f64, Speed)>, SetupError> {
-        duties.par_iter().map(|&duty| Ok((duty, Setup { duty, ..*self }.speed()?))).collect()
+        let setups: Vec<Setup> = duties.iter().map(|&duty| Setup { duty, ..*self }).collect();
+        Ok(duties.iter().copied().zip(speeds(&setups)?).collect())
     }
 
     /// Speeds under several loads (N·m), on all cores.
@@ -138,18 +140,114 @@ impl Setup {
     /// # Errors
     /// As [`Setup::check`].
     pub fn under_loads(&self, loads_nm: &[f64]) -> Result<Vec<(f64, Speed)>, SetupError> {
-        loads_nm
-            .par_iter()
-            .map(|&load_nm| {
-                let parameters = Parameters { load_nm, ..self.parameters };
-                Ok((load_nm, Setup { parameters, ..*self }.speed()?))
-            })
-            .collect()
+        let with = |&load_nm: &f64| Setup { parameters: Parameters { load_nm, ..self.parameters }, ..*self };
+        let setups: Vec<Setup> = loads_nm.iter().map(with).collect();
+        Ok(loads_nm.iter().copied().zip(speeds(&setups)?).collect())
     }
 
     /// Torque the contact can transmit to a rotor at rest (N·m), u·Fext·R0: the stall torque of either flavour.
     pub fn stall_torque_nm(&self) -> f64 {
         let p = &self.parameters;
         p.friction * p.preload_n * p.contact_radius_m
+    }
+}
+
+/// Motors integrated together at carrier resolution.
+const LANES: usize = 4;
+
+/// Speeds of several runs that differ in parameters and duty only, on all cores, carrier runs four to a core.
+fn speeds(setups: &[Setup]) -> Result<Vec<Speed>, SetupError> {
+    setups.iter().try_for_each(Setup::check)?;
+    match setups.first() {
+        Some(first) if first.solver == Solver::Carrier => {
+            let groups: Vec<Vec<Speed>> = setups.par_chunks(LANES).map(carrier_speeds).collect();
+            Ok(groups.into_iter().flatten().collect())
+        }
+        _ => setups.par_iter().map(Setup::speed).collect(),
+    }
+}
+
+/// [`Setup::speed`] of up to [`LANES`] carrier runs at once; idle lanes repeat the last.
+fn carrier_speeds(setups: &[Setup]) -> Vec<Speed> {
+    let began = Instant::now();
+    let lane: [Setup; LANES] = std::array::from_fn(|i| setups[i.min(setups.len() - 1)]);
+    let Setup { flavour, pwm_hz, seconds, .. } = lane[0];
+    let mut motors = SideBySide::new(lane.map(|s| s.parameters), flavour);
+    let period_s = 1.0 / pwm_hz;
+    let from_s = 0.8 * seconds;
+    let mut from_rad = [0.0; LANES];
+    let mut now_s = 0.0;
+    let mut period = 0.0;
+    while now_s < seconds {
+        // A period begins with its off part, as [`Pwm`] has it.
+        let start_s = period * period_s;
+        let rise_s = lane.map(|s| start_s + (1.0 - s.duty) * period_s);
+        let mut edges: Vec<f64> = rise_s.into_iter().chain([start_s + period_s, from_s, seconds]).collect();
+        edges.retain(|&edge| edge > now_s && edge <= (start_s + period_s).min(seconds));
+        edges.sort_by(f64::total_cmp);
+        for edge in edges {
+            let on = rise_s.map(|rise| if now_s >= rise - 1e-12 { 1.0 } else { 0.0 });
+            let drive = std::array::from_fn(|i| Drive {
+                level: if lane[i].duty > 0.0 { on[i] } else { 0.0 },
+                direction: Direction::Cw,
+                duty: lane[i].duty,
+            });
+            motors.run(edge - now_s, drive);
+            now_s = edge;
+            if edge == from_s {
+                from_rad = std::array::from_fn(|i| motors.state(i)[6]);
+            }
+        }
+        period += 1.0;
+    }
+    let wall_s = began.elapsed().as_secs_f64() / setups.len() as f64;
+    (0..setups.len())
+        .map(|i| {
+            let state = motors.state(i);
+            let speed = (state[6] - from_rad[i]) / (seconds - from_s);
+            Speed {
+                speed_rad_s: speed,
+                speed_rpm: speed * 30.0 / PI,
+                wave_amplitude_m: state[0].hypot(state[1]),
+                rotor_height_m: state[4],
+                steps: motors.steps(),
+                wall_s,
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::motor::Motor;
+
+    /// Five carrier runs in two groups of lanes, each against the same run by itself.
+    #[test]
+    fn runs_side_by_side_are_the_runs_one_by_one() {
+        for flavour in [Flavour::Thesis, Flavour::Physical] {
+            let setup = Setup {
+                parameters: Motor::pcbmotor_30mm().parameters(flavour),
+                flavour,
+                solver: Solver::Carrier,
+                duty: 0.6,
+                pwm_hz: 500.0,
+                seconds: 0.011,
+            };
+            let duties = [0.0, 0.3, 0.55, 0.9, 1.0];
+            for (duty, together) in setup.sweep(&duties).unwrap() {
+                let alone = Setup { duty, ..setup }.speed().unwrap();
+                // Edges of the others cut the steps elsewhere, no more.
+                let off = (together.speed_rad_s - alone.speed_rad_s).abs();
+                assert!(off < 1e-5, "{flavour} {duty}: {together:?} {alone:?}");
+                assert!((together.rotor_height_m - alone.rotor_height_m).abs() < 1e-10);
+            }
+            let loads = [0.0, 2e-4, 1e-3];
+            for (load_nm, together) in setup.under_loads(&loads).unwrap() {
+                let parameters = Parameters { load_nm, ..setup.parameters };
+                let alone = Setup { parameters, ..setup }.speed().unwrap();
+                assert!((together.speed_rad_s - alone.speed_rad_s).abs() < 1e-5, "{flavour} {load_nm}");
+            }
+        }
     }
 }
