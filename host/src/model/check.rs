@@ -129,6 +129,7 @@ pub fn duties(motor: &Motor, flavour: Flavour) -> Vec<DutyPoint> {
         parameters: motor.parameters(flavour),
         flavour,
         solver,
+        effects: EffectSet::default(),
         duty: 1.0,
         pwm_hz: 50.0,
         seconds: 0.5,

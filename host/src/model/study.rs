@@ -159,7 +159,8 @@ const LANES: usize = 4;
 fn speeds(setups: &[Setup]) -> Result<Vec<Speed>, SetupError> {
     setups.iter().try_for_each(Setup::check)?;
     match setups.first() {
-        Some(first) if first.solver == Solver::Carrier => {
+        // Effects act on single motors only.
+        Some(first) if first.solver == Solver::Carrier && first.effects == EffectSet::default() => {
             let groups: Vec<Vec<Speed>> = setups.par_chunks(LANES).map(carrier_speeds).collect();
             Ok(groups.into_iter().flatten().collect())
         }
@@ -230,6 +231,7 @@ mod tests {
                 parameters: Motor::pcbmotor_30mm().parameters(flavour),
                 flavour,
                 solver: Solver::Carrier,
+                effects: EffectSet::default(),
                 duty: 0.6,
                 pwm_hz: 500.0,
                 seconds: 0.011,
