@@ -196,3 +196,31 @@ fn both_read_recordings() {
     assert!((0.5..0.9).contains(&number(&found["plant"]["gain"])), "{found}");
     assert_eq!(number(&found["sensor"]["largest_jump"]), 1.0, "{found}");
 }
+
+/// What went wrong stands once in the message, with the file it is about.
+#[test]
+fn errors_name_their_cause_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let runs = [speed_run("a", 1.0), speed_run("b", 1.0)].concat();
+    write(dir.path(), &runs, &[("a.csv", levels(0.5, |_, _| 30.0)), ("b.csv", "time_us,level\n0,0\n1000,x\n".into())]);
+    std::fs::write(dir.path().join("not.mcap"), b"nothing").unwrap();
+    let fails = |args: &[&str], cause: &str| {
+        let output = twum(dir.path(), args);
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(message.matches(cause).count(), 1, "{args:?}: {message}");
+    };
+    fails(&["velocity", "."], "b.csv:3:6: level `x` is not a number");
+    fails(&["import", "."], "b.csv:3:6: level `x` is not a number");
+    fails(&["velocity", "nowhere"], "No such file or directory");
+    fails(&["velocity", "not.mcap"], "not a recording");
+    fails(&["live", "nowhere.mcap", "--once"], "No such file or directory");
+    fails(&["export", "nowhere.mcap", "--to", "csv", "x"], "No such file or directory");
+    fails(&["neck", "--exercise", "nowhere.toml"], "No such file or directory");
+    write(dir.path(), &speed_run("a", 1.0), &[]);
+    fails(&["compare", ".", "--motor", "nowhere.toml"], "No such file or directory");
+    fails(&["velocity", ".", "--plot", "nowhere/a.svg"], "No such file or directory");
+    fails(&["velocity", ".", "--plot", "a.pdf"], "a figure is written as .svg or .png");
+    fails(&["velocity", ".", "--period-us", "1e-9"], "are the most: take a longer period");
+    fails(&["velocity", ".", "--method", "thesis-butterworth", "--csv", "nowhere/a.csv"], "No such file or directory");
+}

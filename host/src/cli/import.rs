@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::record::check::{FolderCheck, check};
 use twum_host::record::convert::{to_edges, to_levels};
-use twum_host::record::measurement::{Direction, MANIFEST, Measurement, Run};
+use twum_host::record::measurement::{Direction, MANIFEST, Measurement, RunData};
 
 /// Arguments of `twum import`.
 #[derive(Debug, clap::Args)]
@@ -83,10 +83,13 @@ pub fn run(args: Args) -> Result<ExitCode> {
     if let Some(to) = args.to {
         if let Some(target) = args.convert {
             let convert = |data| match target {
-                Encoder::Edges => to_edges(data),
+                Encoder::Edges => Ok(to_edges(data)),
                 Encoder::Levels => to_levels(data, args.period_us),
             };
-            measurement.runs = measurement.runs.into_iter().map(|run| Run { data: convert(run.data), ..run }).collect();
+            for run in &mut measurement.runs {
+                let data = std::mem::replace(&mut run.data, RunData::Control(Vec::new()));
+                run.data = convert(data).with_context(|| format!("run {}", run.id))?;
+            }
         }
         measurement.save(&to)?;
         eprintln!("wrote {}", to.display());

@@ -1,10 +1,10 @@
 //! `twum live`.
 
-use super::connect::{ALL_STREAMS, ConnectArgs, INTERRUPTED, RecordArgs};
+use super::connect::{ALL_STREAMS, ConnectArgs, INTERRUPTED, RecordArgs, catch_interrupts};
 use anyhow::{Context, Result, bail};
 use crossterm::event::{self, Event, KeyCode};
-use ratatui::Terminal;
 use ratatui::backend::TestBackend;
+use ratatui::{DefaultTerminal, Terminal};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -16,6 +16,7 @@ use twum_host::link::Received;
 use twum_host::link::bench::{Action, Experiment};
 use twum_host::record::decode::{Decoder, Item, LinkStatistics};
 use twum_host::record::live::LiveView;
+use twum_host::record::live_server::LiveServer;
 use twum_host::record::store::Ending;
 
 /// The screen is drawn this often.
@@ -35,7 +36,12 @@ Reading a growing file cannot slow its writer. Without a run, watch the board it
 
   twum live --port /dev/ttyUSB0 --out idle.mcap
 
-Keys: q quits.")]
+Keys: q quits.
+
+With --foxglove the same values are served to Foxglove (\"Open connection\", \"Foxglove WebSocket\") on this machine only:
+
+  twum live sine.mcap --foxglove                      ws://127.0.0.1:8765
+  twum live sine.mcap --foxglove=9000 > /dev/null     without the screen, until Ctrl-C")]
 pub struct Args {
     /// Recording to follow while it is made
     #[arg(required_unless_present = "port", conflicts_with = "port")]
@@ -47,17 +53,27 @@ pub struct Args {
     /// Print one screen of what the recording holds now, without a terminal
     #[arg(long, requires = "recording")]
     once: bool,
+    /// Serve the view to Foxglove at this port of 127.0.0.1 [default: 8765]
+    #[arg(
+        long,
+        value_name = "PORT",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "8765",
+        conflicts_with = "once"
+    )]
+    foxglove: Option<u16>,
 }
 
 /// Runs `twum live`.
 pub fn run(args: Args) -> Result<ExitCode> {
     match (&args.recording, &args.connect) {
         (Some(recording), _) if args.once => print_once(recording),
-        _ if !std::io::stdout().is_terminal() => {
-            bail!("this view needs a terminal; `--once` prints one screen of a recording")
+        _ if !std::io::stdout().is_terminal() && args.foxglove.is_none() => {
+            bail!("this view needs a terminal; `--once` prints one screen of a recording, `--foxglove` serves it")
         }
-        (Some(recording), _) => follow(recording),
-        (None, Some(connect)) => watch(connect, &args.record),
+        (Some(recording), _) => follow(recording, Screen::new(args.foxglove)?),
+        (None, Some(connect)) => watch(connect, &args.record, Screen::new(args.foxglove)?),
         (None, None) => bail!("give a recording to follow, or --port"),
     }
 }
@@ -84,28 +100,69 @@ fn take_all(decoder: &mut Decoder, view: &mut LiveView) -> Result<()> {
     Ok(())
 }
 
-fn follow(recording: &Path) -> Result<ExitCode> {
+/// Where the view is shown: on the terminal if there is one, and to Foxglove if asked for.
+struct Screen {
+    terminal: Option<DefaultTerminal>,
+    server: Option<LiveServer>,
+}
+
+impl Screen {
+    fn new(port: Option<u16>) -> Result<Self> {
+        let server = port.map(LiveServer::start).transpose()?;
+        if let Some(server) = &server {
+            eprintln!("serving {}", server.address());
+        }
+        let terminal = match std::io::stdout().is_terminal() {
+            true => Some(ratatui::try_init().context("cannot take over the terminal")?),
+            false => None,
+        };
+        Ok(Self { terminal, server })
+    }
+
+    /// Shows the view, then waits for the next time; whether to end.
+    fn show(&mut self, view: &LiveView, heading: &str, link: LinkStatistics) -> Result<bool> {
+        if let Some(server) = &mut self.server {
+            server.send(view);
+        }
+        let Some(terminal) = &mut self.terminal else {
+            thread::sleep(DRAW_EVERY);
+            return Ok(INTERRUPTED.load(Ordering::Relaxed));
+        };
+        let heading = match &self.server {
+            Some(server) => format!("{heading}   {}", server.address()),
+            None => heading.to_owned(),
+        };
+        terminal.draw(|frame| view.draw(frame, &heading, link))?;
+        quit_asked()
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        if self.terminal.is_some() {
+            ratatui::restore();
+        }
+    }
+}
+
+fn follow(recording: &Path, mut screen: Screen) -> Result<ExitCode> {
+    if screen.terminal.is_none() {
+        catch_interrupts()?;
+    }
     let mut decoder = Decoder::open(recording)?;
     decoder.follow();
     let mut view = LiveView::new();
-    let mut terminal = ratatui::try_init().context("cannot take over the terminal")?;
-    let result = (|| -> Result<()> {
-        loop {
-            take_all(&mut decoder, &mut view)?;
-            let ended = if decoder.integrity().ending == Ending::Finished { " (finished)" } else { "" };
-            let heading = format!("{}{ended}", recording.display());
-            terminal.draw(|frame| view.draw(frame, &heading, decoder.statistics()))?;
-            if quit_asked()? {
-                return Ok(());
-            }
+    loop {
+        take_all(&mut decoder, &mut view)?;
+        let ended = if decoder.integrity().ending == Ending::Finished { " (finished)" } else { "" };
+        if screen.show(&view, &format!("{}{ended}", recording.display()), decoder.statistics())? {
+            return Ok(ExitCode::SUCCESS);
         }
-    })();
-    ratatui::restore();
-    result.map(|()| ExitCode::SUCCESS)
+    }
 }
 
 /// Records on this thread, as every other command does, and draws on another.
-fn watch(connect: &ConnectArgs, record: &RecordArgs) -> Result<ExitCode> {
+fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<ExitCode> {
     let experiment = Experiment {
         configuration: None,
         capture: ALL_STREAMS,
@@ -114,37 +171,31 @@ fn watch(connect: &ConnectArgs, record: &RecordArgs) -> Result<ExitCode> {
         motor: String::new(),
     };
     let (sender, receiver) = sync_channel::<Received>(WAITING);
-    let screen = thread::spawn(move || draw_received(&receiver));
+    let drawing = thread::spawn(move || show_received(&receiver, screen));
     let outcome = connect.perform(&experiment, |received| {
         let _ = sender.try_send(received.clone());
     });
     drop(sender);
-    let drawn = screen.join().unwrap_or(Ok(()));
+    let drawn = drawing.join().unwrap_or(Ok(()));
     let outcome = outcome?;
     drawn?;
     record.conclude(&outcome)
 }
 
-fn draw_received(receiver: &Receiver<Received>) -> Result<()> {
+fn show_received(receiver: &Receiver<Received>, mut screen: Screen) -> Result<()> {
     let mut view = LiveView::new();
-    let mut terminal = ratatui::try_init().context("cannot take over the terminal")?;
-    let result = (|| -> Result<()> {
+    loop {
         loop {
-            loop {
-                match receiver.try_recv() {
-                    Ok(received) => view.observe(received.header.time_us, &received.message),
-                    Err(TryRecvError::Empty) => break,
-                    Err(TryRecvError::Disconnected) => return Ok(()),
-                }
-            }
-            terminal.draw(|frame| view.draw(frame, "board", LinkStatistics::default()))?;
-            if quit_asked()? {
-                INTERRUPTED.store(true, Ordering::Relaxed);
+            match receiver.try_recv() {
+                Ok(received) => view.observe(received.header.time_us, &received.message),
+                Err(TryRecvError::Empty) => break,
+                Err(TryRecvError::Disconnected) => return Ok(()),
             }
         }
-    })();
-    ratatui::restore();
-    result
+        if screen.show(&view, "board", LinkStatistics::default())? {
+            INTERRUPTED.store(true, Ordering::Relaxed);
+        }
+    }
 }
 
 /// Waits for the next drawing; whether `q` or Ctrl-C was pressed meanwhile.

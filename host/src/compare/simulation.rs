@@ -25,6 +25,8 @@ const RISEN: f64 = 0.63;
 const STOPPED: f64 = 0.05;
 /// Duties below which a line through mean speeds means nothing.
 const LEAST_DUTIES: usize = 3;
+/// More PWM periods take too long to simulate: a day and a half at 50 Hz.
+const MOST_PERIODS: f64 = 7e6;
 
 /// Why a run cannot be compared.
 #[derive(Debug, thiserror::Error)]
@@ -135,7 +137,7 @@ pub fn compare(measurement: &Measurement, motor: &Motor, flavour: Flavour) -> Re
 fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &Model) -> Result<RunComparison, SignalError> {
     let options = Options { method: Method::Smoother, edges_per_rev, period_us: None, edge_uncertainty_us: 2.0 };
     let measured = motion(run, &options)?;
-    let simulated_run = Run { data: simulated_data(run, duty, edges_per_rev, model), ..run.clone() };
+    let simulated_run = Run { data: simulated_data(run, duty, edges_per_rev, model)?, ..run.clone() };
     let simulated = motion(&simulated_run, &options)?;
     let sign = run.direction.unwrap_or(Direction::Cw).sign();
     let times_s: Vec<f64> = measured.time_us.iter().map(|t| t * 1e-6).collect();
@@ -160,7 +162,12 @@ fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &Model) -> Resul
 
 /// What the run would have recorded of the simulated motor. The encoder's phase is that of an aligned motor, or the middle
 /// of a pitch where it is unknown.
-fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, (plant, effects): &Model) -> RunData {
+fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, (plant, effects): &Model) -> Result<RunData, SignalError> {
+    let end_s = run.span_us().1 * 1e-6;
+    let periods = end_s * run.pwm_hz;
+    if periods > MOST_PERIODS {
+        return Err(SignalError::TooLong { periods, most: MOST_PERIODS });
+    }
     let direction = match run.direction.unwrap_or(Direction::Cw) {
         Direction::Cw => plant::Direction::Cw,
         Direction::Ccw => plant::Direction::Ccw,
@@ -172,7 +179,7 @@ fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, (plant, effects): &M
         commands,
         pwm_hz: run.pwm_hz,
         pwm_phase_s: run.pwm_phase_s,
-        end_s: run.span_us().1 * 1e-6,
+        end_s,
         edges_per_rev,
         encoder_phase_rad: if run.aligned { 0.0 } else { 0.5 * pitch_rad },
     };
@@ -180,8 +187,8 @@ fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, (plant, effects): &M
     let edges = trace.edges.iter().map(|e| LevelEdge { time_us: e.time_s * 1e6, level: e.level }).collect();
     let edges = RunData::Edges { initial: trace.initial, start_us: 0.0, edges, end_us: trace.end_s * 1e6 };
     match run.data {
-        RunData::Levels { period_us, .. } => to_levels(edges, period_us),
-        _ => edges,
+        RunData::Levels { period_us, .. } => Ok(to_levels(edges, period_us)?),
+        _ => Ok(edges),
     }
 }
 
@@ -342,14 +349,14 @@ mod tests {
                 let end = RunData::Velocity { time_us: vec![0.0, 0.7e6], rpm: vec![0.0; 2] };
                 let mut run = Run::new(format!("d{}", 100.0 * duty), RunKind::Speed, end);
                 (run.duty, run.direction, run.drive_on_s) = (Some(*duty), Some(Direction::Ccw), Some(0.5));
-                let RunData::Edges { initial, start_us, edges, end_us } = simulated_data(&run, *duty, 400, &model)
+                let Ok(RunData::Edges { initial, start_us, edges, end_us }) = simulated_data(&run, *duty, 400, &model)
                 else {
                     unreachable!("only levels become levels")
                 };
                 let edges =
                     edges.iter().map(|e| LevelEdge { time_us: e.time_us * slower, level: e.level }).collect::<Vec<_>>();
                 let kept = edges.into_iter().filter(|e| e.time_us < end_us).collect();
-                run.data = to_levels(RunData::Edges { initial, start_us, edges: kept, end_us }, 1000.0);
+                run.data = to_levels(RunData::Edges { initial, start_us, edges: kept, end_us }, 1000.0).unwrap();
                 run
             })
             .collect();
@@ -381,6 +388,14 @@ mod tests {
         assert!((ratio - 1.1).abs() < 0.02, "{ratio}: {found}");
         assert!(found.to_string().contains("needs three duties"));
         found.figure("Model").unwrap().svg().unwrap();
+    }
+
+    #[test]
+    fn a_run_that_would_take_days_to_simulate_is_refused() {
+        let mut measurement = measured(&[1.0], 1.0);
+        measurement.runs[0].data = RunData::Velocity { time_us: vec![9e14, 9.1e14], rpm: vec![1.0; 2] };
+        let error = compare(&measurement, &Motor::pcbmotor_30mm(), Flavour::Physical).unwrap_err();
+        assert!(error.to_string().starts_with("run `d100`: it ends 45500000000 PWM periods after t = 0"), "{error}");
     }
 
     #[test]

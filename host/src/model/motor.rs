@@ -73,12 +73,12 @@ pub struct Motor {
 #[derive(Debug, Error)]
 pub enum MotorError {
     /// The file cannot be read.
-    #[error("motor file {file}: {source}; the shipped motors are {}", shipped())]
+    #[error("motor file {file}: {reason}; the shipped motors are {}", shipped())]
     Read {
         /// The file.
         file: String,
         /// Why.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// A name that no shipped motor has.
     #[error("no motor `{name}` is shipped ({} are); name a file with a `/` in it, or ending in .toml", shipped())]
@@ -348,7 +348,7 @@ impl Motor {
             return Self::shipped(name_or_path);
         }
         let text = input::text(Path::new(name_or_path), input::WRITTEN)
-            .map_err(|source| MotorError::Read { file: name_or_path.into(), source })?;
+            .map_err(|reason| MotorError::Read { file: name_or_path.into(), reason })?;
         Self::parse(name_or_path, &text)
     }
 

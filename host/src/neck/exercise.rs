@@ -61,12 +61,12 @@ pub enum ExerciseError {
     #[error("no exercise `{0}`: {names} are shipped, anything else is the path of a .toml file", names = Exercise::SHIPPED.join(", "))]
     Unknown(String),
     /// The file cannot be read.
-    #[error("{path}: {source}")]
+    #[error("{path}: {reason}")]
     Read {
         /// The file.
         path: PathBuf,
         /// What the operating system said.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The file is not an exercise.
     #[error("{path}: {message}")]
@@ -202,7 +202,7 @@ impl Exercise {
             return Err(ExerciseError::Unknown(name_or_path.to_owned()));
         }
         let text = crate::input::text(path, crate::input::WRITTEN)
-            .map_err(|source| ExerciseError::Read { path: path.to_owned(), source })?;
+            .map_err(|reason| ExerciseError::Read { path: path.to_owned(), reason })?;
         Self::parse(&text, path)
     }
 

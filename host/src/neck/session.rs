@@ -47,12 +47,12 @@ pub enum SessionError {
         problem: Box<Problem>,
     },
     /// The controller cannot run at this resolution.
-    #[error("the controller cannot run on {edges_per_rev} edges a revolution: {source}")]
+    #[error("the controller cannot run on {edges_per_rev} edges a revolution: {reason}")]
     Control {
         /// Resolution asked for.
         edges_per_rev: u32,
         /// What the control step said.
-        source: ConfigError,
+        reason: ConfigError,
     },
     /// A quantity outside its bounds.
     #[error("{name} {value} is outside {low} to {high} {unit}")]
@@ -106,7 +106,7 @@ impl Setup {
         }
         at_resolution(&self.control.spec(), self.edges_per_rev)
             .map(|_| ())
-            .map_err(|source| SessionError::Control { edges_per_rev: self.edges_per_rev, source })
+            .map_err(|reason| SessionError::Control { edges_per_rev: self.edges_per_rev, reason })
     }
 
     /// Simulates the three joints through an exercise.
@@ -125,7 +125,7 @@ impl Setup {
     pub fn simulate_all(&self, exercises: &[Exercise]) -> Result<Vec<Session>, SessionError> {
         self.check()?;
         let config = at_resolution(&self.control.spec(), self.edges_per_rev)
-            .map_err(|source| SessionError::Control { edges_per_rev: self.edges_per_rev, source })?;
+            .map_err(|reason| SessionError::Control { edges_per_rev: self.edges_per_rev, reason })?;
         let tick_s = f64::from(config.spec().period_us) * 1e-6;
         let mut runs: Vec<Run> = Vec::new();
         let mut run_of = Vec::with_capacity(exercises.len());

@@ -63,12 +63,12 @@ impl Default for Study {
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
     /// The file cannot be read.
-    #[error("{path}: {source}")]
+    #[error("{path}: {reason}")]
     Read {
         /// The file.
         path: PathBuf,
         /// What the operating system said.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The file is not a study.
     #[error("{path}: {message}")]
@@ -145,7 +145,7 @@ impl Study {
     /// Names the file, the line and the key.
     pub fn load(path: &Path) -> Result<Self, StudyError> {
         let text = crate::input::text(path, crate::input::WRITTEN)
-            .map_err(|source| StudyError::Read { path: path.to_owned(), source })?;
+            .map_err(|reason| StudyError::Read { path: path.to_owned(), reason })?;
         Self::parse(&text, path)
     }
 

@@ -1,6 +1,15 @@
 //! Between a sampled encoder line and its edges.
 
-use super::measurement::{LevelEdge, RunData};
+use super::measurement::{LevelEdge, MAX_LOADED_BYTES, RunData};
+use thiserror::Error;
+
+/// A record that would have more samples than fit.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[error("{samples:.0} samples are asked for, {} are the most: take a longer period", MAX_LOADED_BYTES)]
+pub struct TooManySamples {
+    /// Samples asked for.
+    pub samples: f64,
+}
 
 /// The edges of a sampled encoder line. An edge first seen at sample `k` happened after sample `k - 1`; its time is set to
 /// the middle of that interval (thesis, A.7), so it is uncertain by half a sampling period either way.
@@ -24,9 +33,16 @@ pub fn to_edges(data: RunData) -> RunData {
 /// seen it.
 ///
 /// Data that are not edges come back as they are.
-pub fn to_levels(data: RunData, period_us: f64) -> RunData {
-    let RunData::Edges { initial, start_us, edges, end_us } = data else { return data };
-    let count = ((end_us - start_us) / period_us).floor() as usize + 1;
+///
+/// # Errors
+/// More samples than a measurement folder may have ([`MAX_LOADED_BYTES`]).
+pub fn to_levels(data: RunData, period_us: f64) -> Result<RunData, TooManySamples> {
+    let RunData::Edges { initial, start_us, edges, end_us } = data else { return Ok(data) };
+    let samples = ((end_us - start_us) / period_us).floor() + 1.0;
+    if samples.is_nan() || samples > MAX_LOADED_BYTES as f64 {
+        return Err(TooManySamples { samples });
+    }
+    let count = samples as usize;
     let mut level = initial;
     let mut next = edges.iter().peekable();
     let levels = (0..count)
@@ -38,7 +54,7 @@ pub fn to_levels(data: RunData, period_us: f64) -> RunData {
             level
         })
         .collect();
-    RunData::Levels { start_us, period_us, levels }
+    Ok(RunData::Levels { start_us, period_us, levels })
 }
 
 #[cfg(test)]
@@ -56,7 +72,7 @@ mod tests {
             end_us: 3100.0,
         };
         assert_eq!(edges, expected);
-        assert_eq!(to_levels(edges, 1000.0), levels);
+        assert_eq!(to_levels(edges, 1000.0), Ok(levels));
     }
 
     #[test]
@@ -68,7 +84,15 @@ mod tests {
             edges: vec![edge(10.0, true), edge(12.0, false), edge(13.0, true)],
             end_us: 25.0,
         };
-        let RunData::Levels { levels, .. } = to_levels(edges, 10.0) else { panic!() };
+        let Ok(RunData::Levels { levels, .. }) = to_levels(edges, 10.0) else { panic!() };
         assert_eq!(levels, [false, true, true]);
+    }
+
+    #[test]
+    fn a_day_at_a_microsecond_is_refused_before_it_is_made() {
+        let day = || RunData::Edges { initial: false, start_us: 0.0, edges: Vec::new(), end_us: 86_400e6 };
+        assert!(matches!(to_levels(day(), 1.0), Err(TooManySamples { samples }) if samples == 86_400e6 + 1.0));
+        assert!(to_levels(day(), f64::NAN).is_err() && to_levels(day(), 0.0).is_err());
+        assert_eq!(to_levels(day(), 1e6).unwrap().len(), 86_401);
     }
 }

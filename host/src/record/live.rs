@@ -9,6 +9,7 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType, Paragraph};
+use serde::Serialize;
 use std::collections::VecDeque;
 use twum_shared::Fault;
 use twum_shared::message::{DeviceMessage, Mode};
@@ -20,14 +21,23 @@ const POINT_EVERY_US: u64 = 50_000;
 /// The speed is the distance travelled in this time, µs.
 const SPEED_OVER_US: u64 = 300_000;
 
-/// One moment.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Point {
-    time_us: u64,
-    target: Option<f64>,
-    position: f64,
-    speed_rpm: f64,
-    duty: f64,
+/// One moment, every 50 ms.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Point {
+    /// The board's clock, µs.
+    pub time_us: u64,
+    /// Wanted position in degrees, in a closed loop.
+    pub target_deg: Option<f64>,
+    /// Position in degrees.
+    pub position_deg: f64,
+    /// Mean speed over the last 0.3 s, rpm.
+    pub speed_rpm: f64,
+    /// Signed fraction of the PWM period with drive on.
+    pub duty: f64,
+    /// The board's state.
+    pub mode: Option<Mode>,
+    /// The latched fault.
+    pub fault: Option<Fault>,
 }
 
 /// The state of a board as the host last heard it.
@@ -49,6 +59,8 @@ pub struct LiveView {
     recent: VecDeque<(u64, i32)>,
     history: VecDeque<Point>,
     log: VecDeque<String>,
+    /// Lines ever noted.
+    noted: u64,
 }
 
 impl LiveView {
@@ -109,6 +121,7 @@ impl LiveView {
     }
 
     fn note(&mut self, line: String) {
+        self.noted += 1;
         self.log.push_back(format!("{:9.3} s  {line}", self.time_us as f64 * 1e-6));
         if self.log.len() > 100 {
             self.log.pop_front();
@@ -124,10 +137,12 @@ impl LiveView {
         if self.history.back().is_none_or(|point| self.time_us - point.time_us >= POINT_EVERY_US) {
             self.history.push_back(Point {
                 time_us: self.time_us,
-                target: self.target.map(|target| self.degrees(target)),
-                position: self.degrees(position),
+                target_deg: self.target.map(|target| self.degrees(target)),
+                position_deg: self.degrees(position),
                 speed_rpm: self.speed_rpm(),
                 duty: self.duty,
+                mode: self.mode,
+                fault: self.fault,
             });
             while self.history.front().is_some_and(|point| self.time_us - point.time_us > SHOWN_US) {
                 self.history.pop_front();
@@ -137,6 +152,17 @@ impl LiveView {
 
     fn degrees(&self, counts: i32) -> f64 {
         f64::from(counts) * 360.0 / f64::from(self.edges_per_rev.unwrap_or(400).max(1))
+    }
+
+    /// The last half minute, oldest first.
+    pub fn history(&self) -> impl Iterator<Item = &Point> {
+        self.history.iter()
+    }
+
+    /// The lines noted after the first `seen`, oldest first (at most the last 100), and how many there have been.
+    pub fn notes_after(&self, seen: u64) -> (impl Iterator<Item = &str>, u64) {
+        let new = self.noted.saturating_sub(seen).min(self.log.len() as u64) as usize;
+        (self.log.iter().skip(self.log.len() - new).map(String::as_str), self.noted)
     }
 
     /// Mean speed over the last 0.3 s, rpm.
@@ -200,9 +226,9 @@ impl LiveView {
     fn draw_position(&self, frame: &mut Frame, area: Rect) {
         let now = self.now_us();
         let at = |point: &Point| (point.time_us as f64 - now as f64) * 1e-6;
-        let position: Vec<(f64, f64)> = self.history.iter().map(|point| (at(point), point.position)).collect();
+        let position: Vec<(f64, f64)> = self.history.iter().map(|point| (at(point), point.position_deg)).collect();
         let target: Vec<(f64, f64)> =
-            self.history.iter().filter_map(|point| Some((at(point), point.target?))).collect();
+            self.history.iter().filter_map(|point| Some((at(point), point.target_deg?))).collect();
         let lines = [("target", &target, Color::Blue), ("position", &position, Color::Yellow)];
         draw_chart(frame, area, "target (blue), position (yellow), °", &lines);
     }

@@ -5,6 +5,7 @@ pub mod convert;
 pub mod decode;
 pub mod export;
 pub mod live;
+pub mod live_server;
 pub mod load;
 pub mod measurement;
 pub mod plot;

@@ -172,6 +172,29 @@ pub enum EventKind {
     Broken(Sender, String),
 }
 
+impl EventKind {
+    /// A short name of the kind, and what there is to read about it.
+    pub fn describe(&self) -> (&'static str, String) {
+        match self {
+            Self::Hello(identity) => {
+                ("hello", format!("{} on {}, reset: {:?}", identity.firmware, identity.chip, identity.reset))
+            }
+            Self::Configured(configuration) => ("configured", format!("{configuration:?}")),
+            Self::Aligned => ("aligned", String::new()),
+            Self::RunStarted => ("run-started", String::new()),
+            Self::RunEnded(end) => ("run-ended", format!("{end:?}")),
+            Self::Fault(report) => {
+                ("fault", format!("{:?}: {} (off at {} us)", report.fault, report.fault, report.off_us))
+            }
+            Self::Log(line) => ("log", line.clone()),
+            Self::Command(command) => ("command", command.clone()),
+            Self::Refused(reason) => ("refused", reason.clone()),
+            Self::Remark(json) => ("recorder", json.clone()),
+            Self::Broken(sender, error) => ("broken", format!("{sender:?}: {error}")),
+        }
+    }
+}
+
 impl Recording {
     /// What the file or the line lost, one sentence each; empty when nothing is missing.
     pub fn losses(&self) -> Vec<String> {

@@ -46,19 +46,21 @@ impl Butterworth {
         }
         let before = (1..=PAD).rev().map(|i| 2.0 * x[0] - x[i]);
         let after = (1..=PAD).map(|i| 2.0 * x[n - 1] - x[n - 1 - i]);
-        let mut y: Vec<f64> = before.chain(x.iter().copied()).chain(after).collect();
-        self.run(&mut y);
-        y.reverse();
-        self.run(&mut y);
-        y.reverse();
-        Ok(y[PAD..PAD + n].to_vec())
+        let mut y = Vec::with_capacity(n + 2 * PAD);
+        y.extend(before);
+        y.extend_from_slice(x);
+        y.extend(after);
+        self.run(y[0], y.iter_mut());
+        self.run(y[n + 2 * PAD - 1], y.iter_mut().rev());
+        y.truncate(PAD + n);
+        y.drain(..PAD);
+        Ok(y)
     }
 
     /// Filters in place, from the steady state of the first sample.
-    fn run(&self, x: &mut [f64]) {
+    fn run<'a>(&self, first: f64, x: impl Iterator<Item = &'a mut f64>) {
         let ([b0, b1, b2], [a1, a2]) = (self.b, self.a);
         let gain = (b0 + b1 + b2) / (1.0 + a1 + a2);
-        let first = x.first().copied().unwrap_or(0.0);
         let mut z2 = (b2 - a2 * gain) * first;
         let mut z1 = (b1 - a1 * gain) * first + z2;
         for v in x {
@@ -75,35 +77,61 @@ impl Butterworth {
 pub fn moving_average(x: &[f64], window: usize) -> Vec<f64> {
     let n = x.len();
     let half_window = window.saturating_sub(1) / 2;
-    let mut sums = Vec::with_capacity(n + 1);
-    sums.push(0.0);
-    for v in x {
-        sums.push(sums[sums.len() - 1] + v);
-    }
+    let (mut sum, mut from, mut to) = (0.0, 0, 0);
     (0..n)
         .map(|i| {
             let half = half_window.min(i).min(n - 1 - i);
-            (sums[i + half + 1] - sums[i - half]) / (2 * half + 1) as f64
+            while to < i + half + 1 {
+                sum += x[to];
+                to += 1;
+            }
+            while from < i - half {
+                sum -= x[from];
+                from += 1;
+            }
+            sum / (2 * half + 1) as f64
         })
         .collect()
 }
 
+/// Samples worked on side by side, so that the compiler can use vector instructions.
+pub(super) const LANES: usize = 8;
+
 /// The median over `window` samples (odd) about each one, with zeros beyond the ends: MATLAB's `medfilt1`, SciPy's
-/// `medfilt`.
+/// `medfilt`. The samples are finite.
+///
+/// The median of 2h + 1 values is never the least nor the greatest of any h + 2 of them: both are thrown away, the next
+/// value comes in, until one is left. The same comparisons serve [`LANES`] samples side by side.
 pub fn median(x: &[f64], window: usize) -> Vec<f64> {
     let half = window / 2;
-    let at = |i: usize| i.checked_sub(half).and_then(|i| x.get(i)).copied().unwrap_or(0.0);
-    let mut sorted: Vec<f64> = (0..2 * half + 1).map(at).collect();
-    sorted.sort_by(f64::total_cmp);
-    let place = |sorted: &[f64], v: f64| sorted.partition_point(|s| s.total_cmp(&v).is_lt());
-    let mut out = Vec::with_capacity(x.len());
-    for i in 0..x.len() {
-        out.push(sorted[half]);
-        sorted.remove(place(&sorted, at(i)));
-        let next = at(i + 2 * half + 1);
-        sorted.insert(place(&sorted, next), next);
+    let mut padded = vec![0.0; half];
+    padded.extend_from_slice(x);
+    padded.resize(x.len().next_multiple_of(LANES) + 2 * half, 0.0);
+    let mut out = Vec::with_capacity(padded.len());
+    let mut kept: Vec<[f64; LANES]> = Vec::with_capacity(half + 1);
+    for start in (0..x.len()).step_by(LANES) {
+        let value = |k: usize| -> [f64; LANES] { std::array::from_fn(|lane| padded[start + k + lane]) };
+        kept.clear();
+        kept.extend((0..half + 1).map(value));
+        for k in half + 1..2 * half + 1 {
+            let Some(last) = kept.pop() else { break };
+            let (mut least, mut greatest) = sorted(last, value(k));
+            for v in &mut kept {
+                let greater;
+                (least, greater) = sorted(least, *v);
+                (*v, greatest) = sorted(greater, greatest);
+            }
+        }
+        out.extend_from_slice(&kept[0]);
     }
+    out.truncate(x.len());
     out
+}
+
+/// The smaller of each pair, and the greater.
+fn sorted(a: [f64; LANES], b: [f64; LANES]) -> ([f64; LANES], [f64; LANES]) {
+    let pick = |f: fn(f64, f64) -> f64| std::array::from_fn(|lane| f(a[lane], b[lane]));
+    (pick(|a, b| if a < b { a } else { b }), pick(|a, b| if a > b { a } else { b }))
 }
 
 #[cfg(test)]
@@ -134,5 +162,22 @@ mod tests {
         assert_eq!(moving_average(&[], 5), [0.0; 0]);
         assert_eq!(median(&[5.0, 1.0, 4.0], 3), [1.0, 4.0, 1.0]);
         assert_eq!(median(&[], 13), [0.0; 0]);
+    }
+
+    /// Against sorting each window.
+    #[test]
+    fn the_median_is_the_middle_of_the_sorted_window() {
+        use rand::{RngExt, SeedableRng};
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        for (length, window) in [(1, 1), (40, 1), (9, 3), (100, 5), (333, 13), (8, 13), (64, 101)] {
+            let x: Vec<f64> = (0..length).map(|_| f64::from(rng.random_range(-20..20))).collect();
+            let sorted_middle = |i: usize| {
+                let at = |k: usize| (i + k).checked_sub(window / 2).and_then(|i| x.get(i)).copied().unwrap_or(0.0);
+                let mut inside: Vec<f64> = (0..window).map(at).collect();
+                inside.sort_by(f64::total_cmp);
+                inside[window / 2]
+            };
+            assert_eq!(median(&x, window), (0..length).map(sorted_middle).collect::<Vec<_>>(), "{length} {window}");
+        }
     }
 }

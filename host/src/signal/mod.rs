@@ -60,6 +60,19 @@ pub enum SignalError {
         /// The bound.
         most: usize,
     },
+    /// More samples than a record may have.
+    #[error(transparent)]
+    Samples(#[from] crate::record::convert::TooManySamples),
+    /// More PWM periods than can be simulated.
+    #[error(
+        "it ends {periods:.0} PWM periods after t = 0, {most:.0} are the most to simulate: let its times begin at 0"
+    )]
+    TooLong {
+        /// Periods from t = 0 to the end of the run.
+        periods: f64,
+        /// The bound.
+        most: f64,
+    },
     /// Not enough rotation.
     #[error("{turns:.2} turns are too few: what varies over a turn shows after one turn at the earliest")]
     TooFewTurns {

@@ -135,7 +135,11 @@ pub fn motion(run: &Run, options: &Options) -> Result<Motion, SignalError> {
 /// [`SignalError::NoEncoder`] when the run holds no encoder line, and as [`thesis::estimate`].
 pub fn thesis_steps(run: &Run, options: &Options) -> Result<ThesisEstimate, SignalError> {
     let levels = match &run.data {
-        data @ RunData::Edges { .. } => to_levels(data.clone(), options.period_us.unwrap_or(THESIS_PERIOD_US)),
+        data @ RunData::Edges { .. } => {
+            let period_us = options.period_us.unwrap_or(THESIS_PERIOD_US);
+            super::check_positive("the period of the estimates (µs)", period_us)?;
+            to_levels(data.clone(), period_us)?
+        }
         data => data.clone(),
     };
     match levels {

@@ -5,7 +5,7 @@
 //! last edge is estimated and the last 10 samples are lost; the first 10 come from one fit of their own (a seam), with
 //! negative values set to zero; the direction is not seen. Prefer [`super::smoother`].
 
-use super::filters::{Butterworth, median, moving_average};
+use super::filters::{Butterworth, LANES, median, moving_average};
 use super::spline::Spline;
 use super::{RAD_S_TO_RPM, SignalError};
 use nalgebra::{DMatrix, DVector};
@@ -75,15 +75,15 @@ pub fn estimate(
         });
     }
     let spline = Spline::not_a_knot(&event_s, &event_rad).expect("event times increase by at least half a sample");
-    let grid_s: Vec<f64> = (0..level_off).map(|i| i as f64 * period_s).collect();
-    let spline_rad = spline.values(&grid_s);
+    let spline_rad = spline.values((0..level_off).map(|i| i as f64 * period_s));
     let (mut position_rad, mut raw_rpm) = first_fit(&spline_rad[..HALF], period_s);
     let cubic = LocalCubic::new(WINDOW, period_s);
-    for window in spline_rad.windows(WINDOW) {
-        let (position, speed) = cubic.at_middle(window);
+    position_rad.reserve(level_off);
+    raw_rpm.reserve(level_off);
+    cubic.along(&spline_rad, |position, speed| {
         position_rad.push(position);
         raw_rpm.push(speed * RAD_S_TO_RPM);
-    }
+    });
     let filter = Butterworth::low_pass(CUTOFF_HZ, 1.0 / period_s)?;
     let moving_average_rpm = moving_average(&raw_rpm, AVERAGE_WINDOW);
     Ok(ThesisEstimate {
@@ -132,6 +132,33 @@ impl LocalCubic {
         Self {
             value: k().map(|k| (s4 - s2 * k * k) / even).collect(),
             derivative: k().map(|k| (s6 * k - s4 * k * k * k) / odd).collect(),
+        }
+    }
+
+    /// Value and derivative at the middle of every full window, in order. The weights of the value are symmetric, those of
+    /// the derivative antisymmetric.
+    fn along(&self, samples: &[f64], mut found: impl FnMut(f64, f64)) {
+        let (window, half) = (self.value.len(), self.value.len() / 2);
+        let windows = (samples.len() + 1).saturating_sub(window);
+        let whole = windows - windows % LANES;
+        for start in (0..whole).step_by(LANES) {
+            let lanes = |k: usize| &samples[start + k..start + k + LANES];
+            let (mut value, mut derivative) = ([0.0; LANES], [0.0; LANES]);
+            for (v, y) in value.iter_mut().zip(lanes(half)) {
+                *v = self.value[half] * y;
+            }
+            for k in 0..half {
+                let (left, right) = (lanes(k), lanes(window - 1 - k));
+                for lane in 0..LANES {
+                    value[lane] += self.value[k] * (left[lane] + right[lane]);
+                    derivative[lane] += self.derivative[k] * (left[lane] - right[lane]);
+                }
+            }
+            value.iter().zip(&derivative).for_each(|(v, d)| found(*v, *d));
+        }
+        for start in whole..windows {
+            let (value, derivative) = self.at_middle(&samples[start..start + window]);
+            found(value, derivative);
         }
     }
 

@@ -37,8 +37,7 @@ pub fn speed_rpm(
     let period_s = period_us * 1e-6;
     let first = ((events_s[0] / period_s).ceil().max(0.0) as usize).min(samples);
     let end = (((events_s[events_s.len() - 1] / period_s).floor() as usize) + 1).clamp(first, samples);
-    let grid_s: Vec<f64> = (first..end).map(|i| i as f64 * period_s).collect();
-    let position = spline.values(&grid_s);
+    let position = spline.values((first..end).map(|i| i as f64 * period_s));
     let full = LocalCubic::new(window | 1, period_s);
     let mut rpm = vec![f64::NAN; samples];
     for i in 0..position.len() {

@@ -1,7 +1,8 @@
-use super::{ExportError, create_new};
+use super::{ExportError, create_new, rows};
 use crate::record::recording::{EventKind, Recording};
 use ::mcap::records::{MessageHeader, Metadata};
 use ::mcap::{McapError, WriteOptions};
+use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::iter::Peekable;
@@ -39,10 +40,25 @@ fn write(recording: &Recording, out: &mut (impl Write + std::io::Seek)) -> Resul
     })?;
     let mut streams: Vec<(u16, u32, Stream)> = Vec::new();
     for (topic, schema_name, schema, messages) in [
-        ("/control", "twum.Control", CONTROL_SCHEMA, control(recording)),
-        ("/edge", "twum.Edge", EDGE_SCHEMA, edges(recording)),
-        ("/level", "twum.Level", LEVEL_SCHEMA, levels(recording)),
-        ("/status", "twum.Status", STATUS_SCHEMA, status(recording)),
+        (
+            "/control",
+            "twum.Control",
+            CONTROL_SCHEMA,
+            messages(recording, rows::control(recording), |r| (r.session, r.time_us)),
+        ),
+        ("/edge", "twum.Edge", EDGE_SCHEMA, messages(recording, rows::edges(recording), |r| (r.session, r.time_us))),
+        (
+            "/level",
+            "twum.Level",
+            LEVEL_SCHEMA,
+            messages(recording, rows::levels(recording), |r| (r.session, r.time_us)),
+        ),
+        (
+            "/status",
+            "twum.Status",
+            STATUS_SCHEMA,
+            messages(recording, rows::status(recording), |r| (r.session, r.time_us)),
+        ),
         ("/log", "foxglove.Log", LOG_SCHEMA, log(recording)),
     ] {
         let schema = writer.add_schema(schema_name, "jsonschema", schema.as_bytes())?;
@@ -67,6 +83,8 @@ fn write(recording: &Recording, out: &mut (impl Write + std::io::Seek)) -> Resul
 }
 
 const CONTROL_SCHEMA: &str = r#"{"type":"object","title":"twum.Control","properties":{
+"session":{"type":"integer","description":"the board's starts, from 0"},
+"time_us":{"type":"integer","description":"of the board's clock"},
 "tick":{"type":"integer","description":"since the run started"},
 "target":{"type":"integer","description":"counts"},
 "target_rate":{"type":"integer","description":"counts/s"},
@@ -77,88 +95,46 @@ const CONTROL_SCHEMA: &str = r#"{"type":"object","title":"twum.Control","propert
 "late_us":{"type":"integer"},"duration_us":{"type":"integer"}}}"#;
 
 const EDGE_SCHEMA: &str = r#"{"type":"object","title":"twum.Edge","properties":{
+"session":{"type":"integer","description":"the board's starts, from 0"},
+"time_us":{"type":"integer","description":"of the board's clock"},
 "edge":{"type":"integer","description":"since the stream was switched on"},
 "level":{"type":"integer"},
 "direction":{"type":"integer","description":"1 clockwise, -1 counterclockwise"}}}"#;
 
-const LEVEL_SCHEMA: &str = r#"{"type":"object","title":"twum.Level","properties":{"level":{"type":"integer"}}}"#;
+const LEVEL_SCHEMA: &str = r#"{"type":"object","title":"twum.Level","properties":{
+"session":{"type":"integer","description":"the board's starts, from 0"},
+"time_us":{"type":"integer","description":"of the board's clock"},
+"sample":{"type":"integer","description":"since the stream was switched on"},
+"level":{"type":"integer"}}}"#;
 
 const STATUS_SCHEMA: &str = r#"{"type":"object","title":"twum.Status","properties":{
+"session":{"type":"integer","description":"the board's starts, from 0"},
+"time_us":{"type":"integer","description":"of the board's clock"},
 "mode":{"type":"string"},"fault":{"type":"string"},
 "position":{"type":"integer","description":"counts"},
 "duty":{"type":"number","description":"fraction of the PWM period with drive on"},
 "direction":{"type":"integer","description":"1 clockwise, -1 counterclockwise"},
-"late_ticks":{"type":"integer"},"worst_late_us":{"type":"integer"},"worst_duration_us":{"type":"integer"},
+"ticks":{"type":"integer"},"late_ticks":{"type":"integer"},"worst_late_us":{"type":"integer"},"worst_duration_us":{"type":"integer"},
 "edges":{"type":"integer"},"lost_items":{"type":"integer"},"bad_frames":{"type":"integer"}}}"#;
 
 /// The part of Foxglove's own schema that its log panel needs.
-const LOG_SCHEMA: &str = r#"{"type":"object","title":"foxglove.Log","properties":{
+pub(in crate::record) const LOG_SCHEMA: &str = r#"{"type":"object","title":"foxglove.Log","properties":{
 "timestamp":{"type":"object","title":"time","properties":{"sec":{"type":"integer"},"nsec":{"type":"integer"}}},
 "level":{"type":"integer"},"message":{"type":"string"},"name":{"type":"string"},
 "file":{"type":"string"},"line":{"type":"integer"}}}"#;
 
 type Messages<'a> = Box<dyn Iterator<Item = (u64, String)> + 'a>;
 
-fn control(recording: &Recording) -> Messages<'_> {
-    Box::new(recording.control.iter().flat_map(move |segment| {
-        segment.samples.iter().enumerate().map(move |(index, sample)| {
-            let message = format!(
-                r#"{{"tick":{},"target":{},"target_rate":{},"position":{},"u":{},"duty":{},"direction":{},"late_us":{},"duration_us":{}}}"#,
-                segment.first_tick + index as u64,
-                sample.target,
-                sample.target_rate,
-                sample.position,
-                f64::from(sample.u) / 65_536.0,
-                f64::from(sample.on_steps) / f64::from(segment.duty_steps.max(1)),
-                sample.direction.sign(),
-                sample.late_us,
-                sample.duration_us
-            );
-            (recording.host_time_ns(segment.session, segment.time_us(index)), message)
-        })
-    }))
-}
-
-fn edges(recording: &Recording) -> Messages<'_> {
-    Box::new(recording.edges.iter().flat_map(move |segment| {
-        segment.edges.iter().enumerate().map(move |(index, edge)| {
-            let message = format!(
-                r#"{{"edge":{},"level":{},"direction":{}}}"#,
-                segment.first_edge + index as u64,
-                u8::from(edge.level),
-                edge.direction.sign()
-            );
-            (recording.host_time_ns(segment.session, edge.time_us), message)
-        })
-    }))
-}
-
-fn levels(recording: &Recording) -> Messages<'_> {
-    Box::new(recording.bits.iter().flat_map(move |segment| {
-        segment.levels.iter().enumerate().map(move |(index, level)| {
-            let time_us = segment.first_us + 1000 * index as u64;
-            (recording.host_time_ns(segment.session, time_us), format!(r#"{{"level":{}}}"#, u8::from(*level)))
-        })
-    }))
-}
-
-fn status(recording: &Recording) -> Messages<'_> {
-    Box::new(recording.status.iter().map(move |(session, time_us, status)| {
-        let message = format!(
-            r#"{{"mode":"{:?}","fault":"{}","position":{},"duty":{},"direction":{},"late_ticks":{},"worst_late_us":{},"worst_duration_us":{},"edges":{},"lost_items":{},"bad_frames":{}}}"#,
-            status.mode,
-            status.fault.map_or(String::new(), |fault| format!("{fault:?}")),
-            status.position,
-            f64::from(status.duty.raw()) / f64::from(twum_shared::Duty::FULL.raw()),
-            status.direction.sign(),
-            status.late_ticks,
-            status.worst_late_us,
-            status.worst_duration_us,
-            status.edges,
-            status.lost_items,
-            status.bad_frames
-        );
-        (recording.host_time_ns(*session, *time_us), message)
+/// Rows as JSON at the host's time, from the board's session and time of each.
+fn messages<'a, R: Serialize>(
+    recording: &'a Recording,
+    rows: impl Iterator<Item = R> + 'a,
+    at: impl Fn(&R) -> (u32, u64) + 'a,
+) -> Messages<'a> {
+    Box::new(rows.map(move |row| {
+        let (session, time_us) = at(&row);
+        let json = serde_json::to_string(&row).expect("a row has neither maps nor values that JSON lacks");
+        (recording.host_time_ns(session, time_us), json)
     }))
 }
 

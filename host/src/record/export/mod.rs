@@ -3,9 +3,11 @@
 mod csv;
 mod folder;
 mod mcap;
+mod rows;
 
 pub use csv::write_csv;
 pub use folder::{EncoderSource, to_measurement};
+pub(super) use mcap::LOG_SCHEMA;
 pub use mcap::write_mcap;
 
 use super::measurement::MeasurementError;

@@ -30,18 +30,18 @@ pub enum FigureError {
     #[error("drawing failed: {0}")]
     Draw(String),
     /// The PNG encoder refused.
-    #[error("encoding the PNG failed: {0}")]
+    #[error("encoding the PNG failed")]
     Png(#[from] png::EncodingError),
     /// The file name ends in neither `.svg` nor `.png`.
     #[error("{0}: a figure is written as .svg or .png, name the file accordingly")]
     Extension(String),
     /// The file could not be written.
-    #[error("{path}: {source}")]
+    #[error("{path}: {reason}")]
     Write {
         /// The file.
         path: String,
         /// What the operating system said.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
 }
 
@@ -115,7 +115,7 @@ impl Figure {
             Some("png") => self.png()?,
             _ => return Err(FigureError::Extension(path.display().to_string())),
         };
-        std::fs::write(path, bytes).map_err(|source| FigureError::Write { path: path.display().to_string(), source })
+        std::fs::write(path, bytes).map_err(|reason| FigureError::Write { path: path.display().to_string(), reason })
     }
 
     fn rows(&self) -> usize {
