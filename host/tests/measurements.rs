@@ -28,6 +28,20 @@ fn write(folder: &Path, runs: &str, files: &[(&str, String)]) {
     }
 }
 
+/// The cells of the table rows in the page that a command writes to `page.html`.
+fn rendered(folder: &Path, args: &[&str]) -> Vec<Vec<String>> {
+    let output = twum(folder, args);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let html = std::fs::read_to_string(folder.join("page.html")).unwrap();
+    let cells = |row: &str| -> Vec<String> {
+        row.split("<td")
+            .skip(1)
+            .map(|cell| cell[cell.find('>').unwrap() + 1..cell.find("</td>").unwrap()].to_owned())
+            .collect()
+    };
+    html.split("<tr>").skip(1).map(cells).filter(|cells| !cells.is_empty()).collect()
+}
+
 /// Rows of a `levels` file: the line sampled at 1 kHz while the rotor, at rest until 20 ms, turns by `rpm(time, angle)`.
 fn levels(length_s: f64, rpm: impl Fn(f64, f64) -> f64) -> String {
     const STEP_S: f64 = 1e-5;
@@ -121,6 +135,28 @@ fn compare_tells_by_how_much_the_simulation_is_off() {
     let svg = std::fs::read_to_string(dir.path().join("compare.svg")).unwrap();
     assert!(svg.contains(&format!("Speed against duty (R\u{b2} {r2:.3})")));
 
+    let page = rendered(dir.path(), &["compare", ".", "--report", "page.html"]);
+    let shown = |v: &Value, decimals: usize| format!("{:.decimals$}", number(v)).replace('-', "\u{2212}");
+    for (run, cells) in runs.iter().zip(&page) {
+        assert_eq!(cells[0], run["id"].as_str().unwrap());
+        let (m, s) = (&run["measured"], &run["simulated"]);
+        let expected = [
+            shown(&run["duty"], 3),
+            shown(&m["mean_rpm"], 3),
+            shown(&s["mean_rpm"], 3),
+            shown(&m["start_peak_rpm"], 2),
+            shown(&s["start_peak_rpm"], 2),
+            format!("{:.0}", 1e3 * number(&m["rise_s"])),
+            format!("{:.0}", 1e3 * number(&s["rise_s"])),
+        ];
+        assert_eq!(cells[1..8], expected, "{run}");
+        assert_eq!(cells[10..], [shown(&run["rmse_speed_rpm"], 3), shown(&run["rmse_position_deg"], 2)], "{run}");
+    }
+    let html = std::fs::read_to_string(dir.path().join("page.html")).unwrap();
+    assert!(html.contains(&format!("R\u{b2} of speed against duty: {}.", shown(&found["r2_speed"], 4))));
+    assert!(html.contains(&format!("RMSE of the speed {} rpm", shown(&found["rmse_speed_rpm"], 3))));
+    assert!(html.contains("<svg ") && !html.contains("src=") && !html.contains("<script"));
+
     let strict = twum(dir.path(), &["compare", ".", "--max-rmse-rpm", "0.01"]);
     assert_eq!(strict.status.code(), Some(1));
 }
@@ -163,6 +199,12 @@ fn compare_takes_a_closed_loop_apart() {
     // This rotor turns at once and in proportion to the duty, which no piezo motor does.
     assert!(number(&found["plant"]["rms_rpm"]) > 1.0 && found["plant"]["gain"].is_number(), "{found}");
     assert!(dir.path().join("sine.png").exists());
+
+    let page = rendered(dir.path(), &["compare", ".", "--report", "page.html"]);
+    let plant = &found["plant"];
+    let shown = |v: &Value, decimals: usize| format!("{:.decimals$}", number(v)).replace('-', "\u{2212}");
+    assert_eq!(page[0][..6], ["sine", "8000", "0", "0.0000", "0.00000", "0.00"].map(str::to_owned));
+    assert_eq!(page[0][6..9], [shown(&plant["gain"], 3), shown(&plant["explained"], 3), shown(&plant["rms_rpm"], 2)]);
 
     write(dir.path(), run, &[("sine.csv", track(1.5))]);
     let output = twum(dir.path(), &["compare", "."]);

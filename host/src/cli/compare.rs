@@ -10,6 +10,7 @@ use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, RunKind};
+use twum_host::report::comparison::page;
 use twum_host::report::figure::Figure;
 
 /// Arguments of `twum compare`.
@@ -28,7 +29,7 @@ Examples:
   twum compare bench3
   twum compare bench3 --flavour thesis --plot compare.svg
   twum compare bench3 --run d50-cw-0 --plot d50.png
-  twum compare sine.mcap
+  twum compare sine.mcap --report sine.html
   twum compare bench3 --json
   twum compare bench3 --max-rmse-rpm 1.5        exit code 1 when the speeds differ by more
 
@@ -51,6 +52,9 @@ pub struct Args {
     /// Draw measured and simulated speeds, or positions of a closed loop, to this file, .svg or .png
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    /// Write numbers and pictures to this file, a self-contained HTML page
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -93,6 +97,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     if let Some(path) = &args.plot {
         figure(&found, &measurement.name)?.write(path)?;
+    }
+    if let Some(path) = &args.report {
+        let page = page(&measurement.name, found.simulation.as_ref(), &found.closed_loops)?;
+        page.write(path).with_context(|| format!("cannot write {}", path.display()))?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&found)?);

@@ -1,5 +1,6 @@
 //! Figures (SVG, PNG) and self-contained HTML pages, made without a display and equal byte for byte for equal input.
 
+pub mod comparison;
 pub mod figure;
 pub mod html;
 pub mod speed;
