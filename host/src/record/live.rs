@@ -313,6 +313,7 @@ mod tests {
             view.observe(block * 10_000, &DeviceMessage::Control(message));
         }
         assert!((view.speed_rpm() - 15.0).abs() < 0.01, "{}", view.speed_rpm());
+        assert!(screen(&view).contains("position    89.1°   speed   15.0 rpm   duty "), "{}", screen(&view));
     }
 
     #[test]

@@ -39,6 +39,8 @@ pub struct LiveServerError {
 /// Serves a view to whoever connects from this machine.
 pub struct LiveServer {
     handle: WebSocketServerHandle,
+    /// Server and channels know each other through it, and hold it weakly.
+    _context: Arc<Context>,
     live: Arc<RawChannel>,
     log: Arc<RawChannel>,
     /// The board's time of the last point sent, µs.
@@ -67,7 +69,7 @@ impl LiveServer {
         let log = channel(TOPIC_LOG, Schema::new("foxglove.Log", "jsonschema", super::export::LOG_SCHEMA.as_bytes()))?;
         let server = WebSocketServer::new().name("twum live").context(&context).bind(LOOPBACK, port);
         let handle = server.start_blocking().map_err(failed)?;
-        Ok(Self { handle, live, log, sent_us: None, noted: 0 })
+        Ok(Self { handle, _context: context, live, log, sent_us: None, noted: 0 })
     }
 
     /// Where to connect to.
