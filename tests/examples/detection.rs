@@ -2,6 +2,7 @@
 //!
 //! `cargo run --release -p twum-tests --example detection -- [--scale 1.0] [--out docs/detection.md]`
 //! Every data set is drawn from a stated seed; `--scale` multiplies the number of data sets of every part.
+//! `--only NAME,NAME` looks at single effects at ρ = 1 alone, and prints a line a data set.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -115,6 +116,17 @@ impl Count {
     }
 }
 
+fn look_at(names: &[&str], seeds: u64) {
+    for name in OPEN_LOOP.into_iter().filter(|n| names.contains(n)) {
+        for seed in 1000..1000 + seeds {
+            let sealed = Sealed::new(Design::small(), seed);
+            let (hidden, achieved) = hide(&sealed, name, 1.0, seed);
+            let d = answer(&sealed.make(&[hidden]), seed, &[]);
+            println!("{name} rho {achieved:.2} seed {seed}: {} {}", d.verdict.word(), d.suspected().join("+"));
+        }
+    }
+}
+
 fn main() {
     let args: Vec<String> = std::env::args().collect();
     let value = |name: &str| args.iter().position(|a| a == name).and_then(|k| args.get(k + 1));
@@ -122,6 +134,10 @@ fn main() {
     let out = value("--out").cloned();
     let times = |n: usize| ((n as f64 * scale).round() as usize).max(1) as u64;
     let start = Instant::now();
+    if let Some(only) = value("--only") {
+        look_at(&only.split(',').collect::<Vec<_>>(), times(8));
+        return;
+    }
     let mut doc = String::new();
 
     // Nothing hidden.

@@ -13,6 +13,10 @@ pub const LEAST_GAIN: f64 = 0.05;
 pub const LARGEST_P: f64 = 0.01;
 /// Share of an accepted gain that a term without physics may still find before the cause is no longer believed.
 pub const LACK_OF_FIT: f64 = 0.3;
+/// A rival that the library lists as a conflict and that gains this share of the winner's gain stays in the set, however
+/// narrow the interval of the difference: real effects do not have the library's forms, and the nearer form need not be the
+/// cause.
+const SAME_FOR_A_CONFLICT: f64 = 0.85;
 /// Most effects that are added.
 const MOST_EFFECTS: usize = 4;
 
@@ -352,7 +356,9 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
             .filter(|t| {
                 t.held.gain() >= 0.5 * winner.held.gain()
                     && t.estimates_ok
-                    && winner.held.lead_interval(&t.held, settings.seed)[0] <= 0.0
+                    && (winner.held.lead_interval(&t.held, settings.seed)[0] <= 0.0
+                        || (conflict(&effects[winner.accepted.effect], &effects[t.accepted.effect])
+                            && t.held.gain() >= SAME_FOR_A_CONFLICT * winner.held.gain()))
             })
             .collect();
         let mut set: Vec<&Trial> = vec![winner];
@@ -468,6 +474,10 @@ fn clock_explains(problem: &Problem, baseline: &Model, gaps: &super::gaps::Gaps)
         m.parameters.set(P::ClockError, 4e-4 * f64::from(k));
         square(problem, &m) < 1.05 * with_gaps
     })
+}
+
+fn conflict(a: &Effect, b: &Effect) -> bool {
+    a.conflicts.contains(&b.name) || b.conflicts.contains(&a.name)
 }
 
 struct Trial {
