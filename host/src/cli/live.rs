@@ -13,7 +13,7 @@ use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::thread;
 use std::time::Duration;
 use twum_host::link::Received;
-use twum_host::link::bench::{Action, Experiment};
+use twum_host::link::bench::{Action, Experiment, Outcome};
 use twum_host::record::decode::{Decoder, Item, LinkStatistics};
 use twum_host::record::live::LiveView;
 use twum_host::record::live_server::LiveServer;
@@ -177,7 +177,8 @@ fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<E
     });
     drop(sender);
     let drawn = drawing.join().unwrap_or(Ok(()));
-    let outcome = outcome?;
+    // Being told to end is how a view ends.
+    let outcome = Outcome { interrupted: false, ..outcome? };
     drawn?;
     record.conclude(&outcome)
 }

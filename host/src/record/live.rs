@@ -214,7 +214,8 @@ impl LiveView {
                 Span::raw(format!(
                     "target {target}°   position {position:7.1}°   speed {:6.1} rpm   duty {:+.3}   ",
                     self.speed_rpm(),
-                    self.duty
+                    // No -0.000 of a motor that is off.
+                    self.duty + 0.0
                 )),
                 state,
             ]),

@@ -50,6 +50,8 @@ fn open_loop_section(page: Page, name: &str, comparison: &Comparison) -> Result<
         vec![
             r.id.clone(),
             number(r.duty, 3),
+            number(r.rmse_speed_rpm, 3),
+            number(r.rmse_position_deg, 2),
             number(m.mean_rpm, 3),
             number(s.mean_rpm, 3),
             number(m.start_peak_rpm, 2),
@@ -58,23 +60,21 @@ fn open_loop_section(page: Page, name: &str, comparison: &Comparison) -> Result<
             seconds(s.rise_s),
             seconds(m.stop_s),
             seconds(s.stop_s),
-            number(r.rmse_speed_rpm, 3),
-            number(r.rmse_position_deg, 2),
         ]
     };
     let header = [
         "run",
         "duty",
-        "mean rpm, measured",
-        "simulated",
-        "start peak rpm, measured",
-        "simulated",
-        "rise ms, measured",
-        "simulated",
-        "stop ms, measured",
-        "simulated",
         "RMSE rpm",
         "RMSE \u{b0}",
+        "mean rpm",
+        "simulated",
+        "start peak rpm",
+        "simulated",
+        "rise ms",
+        "simulated",
+        "stop ms",
+        "simulated",
     ];
     let rows: Vec<Vec<String>> = comparison.runs.iter().map(row).collect();
     let page = page
