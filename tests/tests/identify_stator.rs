@@ -104,9 +104,8 @@ fn solve(mut a: [[f64; 5]; 5], mut y: [f64; 5]) -> [f64; 5] {
         for i in 0..5 {
             if i != k {
                 let factor = a[i][k] / a[k][k];
-                for j in 0..5 {
-                    a[i][j] -= factor * a[k][j];
-                }
+                let pivot = a[k];
+                a[i].iter_mut().zip(pivot).for_each(|(x, p)| *x -= factor * p);
                 y[i] -= factor * y[k];
             }
         }

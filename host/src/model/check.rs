@@ -4,7 +4,7 @@
 use super::averaged::Averaged;
 use super::carrier::Carrier;
 use super::closed_loop::{Following, LoopProgram, following, run};
-use super::effects::{CATALOGUE, EffectSet};
+use super::effects::{CATALOGUE, EffectSet, FrequencySettling};
 use super::modulation::Modulation;
 use super::motor::Motor;
 use super::motor_plant::{History, MotorPlant, Solver};
@@ -203,8 +203,10 @@ pub fn pieces(motor: &Motor) -> Result<Vec<Piece>, ConfigError> {
     let thesis = motor.parameters(Flavour::Thesis);
     let physical = motor.parameters(Flavour::Physical);
     // A driver that restarts fast: 48 rpm at 16 ms in the measured start, settled by 0.09 s.
-    let mut settling = EffectSet::default();
-    settling.frequency_settling = Some(super::effects::FrequencySettling { detuning_hz: -700.0, tau_s: 0.03 });
+    let settling = EffectSet {
+        frequency_settling: Some(FrequencySettling { detuning_hz: -700.0, tau_s: 0.03 }),
+        ..EffectSet::default()
+    };
     let fast = Parameters { force_factor_n_v: 0.12, ..physical };
     let none = EffectSet::default();
     let mut cases = vec![

@@ -14,11 +14,12 @@ macro_rules! lane_by_lane {
         impl<const N: usize> $operation for Lanes<N> {
             type Output = Self;
             #[inline(always)]
-            fn $name(mut self, other: Self) -> Self {
+            fn $name(self, other: Self) -> Self {
+                let mut result = self;
                 for i in 0..N {
-                    self.0[i] = self.0[i] $symbol other.0[i];
+                    result.0[i] = self.0[i] $symbol other.0[i];
                 }
-                self
+                result
             }
         }
 
