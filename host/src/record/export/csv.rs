@@ -6,8 +6,7 @@ use std::io::Write;
 use std::path::Path;
 
 /// Writes what a recording holds as tables into a new folder: `control.csv`, `edges.csv`, `bits.csv`, `status.csv`,
-/// `runs.csv` and `events.csv`. Times are the board's clock in µs within its `session` (its starts, from 0). A table without
-/// rows is an empty file.
+/// `runs.csv` and `events.csv`. Times are the board's clock in µs within its `session` (its starts, from 0).
 ///
 /// # Errors
 /// When the folder exists and is not empty, or writing fails.
@@ -25,12 +24,19 @@ pub fn write_csv(recording: &Recording, folder: &Path) -> Result<(), ExportError
     table(folder, "events.csv", rows::events(recording))
 }
 
-/// Writes rows under a header of their fields' names.
-fn table<R: Serialize>(folder: &Path, name: &str, rows: impl Iterator<Item = R>) -> Result<(), ExportError> {
+/// Writes rows under a header of their fields' names, which stands there without a row too.
+fn table<R: Serialize + Default>(folder: &Path, name: &str, rows: impl Iterator<Item = R>) -> Result<(), ExportError> {
     let path = folder.join(name);
-    let mut out = ::csv::Writer::from_writer(create_new(&path)?);
+    let failed = |reason: ::csv::Error| ExportError::Io { path: path.clone(), reason: reason.into() };
+    let mut example = ::csv::Writer::from_writer(Vec::new());
+    example.serialize(R::default()).map_err(failed)?;
+    let example = example.into_inner().unwrap_or_default();
+    let header = example.split_inclusive(|byte| *byte == b'\n').next().unwrap_or_default();
+    let mut file = create_new(&path)?;
+    file.write_all(header).map_err(|reason| ExportError::Io { path: path.clone(), reason })?;
+    let mut out = ::csv::WriterBuilder::new().has_headers(false).from_writer(file);
     for row in rows {
-        out.serialize(row).map_err(|reason| ExportError::Io { path: path.clone(), reason: reason.into() })?;
+        out.serialize(row).map_err(failed)?;
     }
     let mut file =
         out.into_inner().map_err(|reason| ExportError::Io { path: path.clone(), reason: reason.into_error() })?;

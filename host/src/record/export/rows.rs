@@ -5,7 +5,7 @@ use crate::record::recording::Recording;
 use serde::Serialize;
 
 /// One tick of the control loop.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub(super) struct ControlTick {
     pub(super) session: u32,
     tick: u64,
@@ -39,7 +39,7 @@ pub(super) fn control(recording: &Recording) -> impl Iterator<Item = ControlTick
 }
 
 /// One edge of the encoder.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub(super) struct EncoderEdge {
     pub(super) session: u32,
     edge: u64,
@@ -61,7 +61,7 @@ pub(super) fn edges(recording: &Recording) -> impl Iterator<Item = EncoderEdge> 
 }
 
 /// One sample of the encoder line.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub(super) struct EncoderLevel {
     pub(super) session: u32,
     sample: u64,
@@ -81,7 +81,7 @@ pub(super) fn levels(recording: &Recording) -> impl Iterator<Item = EncoderLevel
 }
 
 /// The board's own report, ten times a second.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub(super) struct BoardStatus {
     pub(super) session: u32,
     pub(super) time_us: u64,
@@ -119,7 +119,7 @@ pub(super) fn status(recording: &Recording) -> impl Iterator<Item = BoardStatus>
 }
 
 /// A run of the motor.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub(super) struct RunRow {
     session: u32,
     run: usize,
@@ -141,7 +141,7 @@ pub(super) fn runs(recording: &Recording) -> impl Iterator<Item = RunRow> {
 }
 
 /// Something that happened.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub(super) struct EventRow {
     session: u32,
     time_us: u64,

@@ -114,6 +114,10 @@ fn the_decoded_mcap_is_read_by_the_containers_own_reader_with_its_schemas() {
     assert!(::mcap::Summary::read(&bytes).unwrap().unwrap().chunk_indexes.len() == 1);
 }
 
+/// Stands there whether the board reported or not.
+const STATUS_HEADER: &str = "session,time_us,mode,fault,position,duty,direction,ticks,late_ticks,worst_late_us,\
+                             worst_duration_us,edges,lost_items,bad_frames";
+
 #[test]
 fn tables_hold_every_sample_and_quote_what_people_wrote() {
     let dir = tempfile::tempdir().unwrap();
@@ -121,6 +125,7 @@ fn tables_hold_every_sample_and_quote_what_people_wrote() {
     write_csv(&recording(&dir), &out).unwrap();
     let lines = |name: &str| std::fs::read_to_string(out.join(name)).unwrap().lines().count();
     assert_eq!((lines("control.csv"), lines("edges.csv"), lines("bits.csv")), (81, 91, 577));
+    assert_eq!(std::fs::read_to_string(out.join("status.csv")).unwrap().lines().next().unwrap(), STATUS_HEADER);
     let mut events = ::csv::Reader::from_path(out.join("events.csv")).unwrap();
     let texts: Vec<String> = events.records().map(|record| record.unwrap()[4].to_owned()).collect();
     assert!(texts.contains(&"a \"quoted\", line".to_owned()), "{texts:?}");
