@@ -86,7 +86,7 @@ fn foxglove_gets_the_values_and_events_of_the_view_on_loopback_alone() {
     socket.send(Message::text(json!({"op": "subscribe", "subscriptions": subscriptions}).to_string())).unwrap();
 
     let (mut points, mut notes) = (Vec::new(), Vec::new());
-    while points.len() < 70 || notes.is_empty() {
+    while points.len() < 70 || !notes.iter().any(|note: &String| note.contains("run ended")) {
         let Message::Binary(bytes) = socket.read().expect("messages come within the time limit") else { continue };
         // Opcode 1: subscription (u32), time (u64), payload.
         assert_eq!(bytes[0], 1);
