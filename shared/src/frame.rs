@@ -325,6 +325,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "too long for an interpreter")]
     fn an_endless_block_costs_bounded_memory_and_one_error() {
         let mut stream = std::vec![0x55u8; 1 << 20];
         stream.push(0);
@@ -336,6 +337,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "too long for an interpreter")]
     fn a_corrupted_byte_costs_at_most_the_frames_it_touches() {
         let messages = device_messages();
         let frames: Vec<Vec<u8>> = messages.iter().enumerate().map(|(i, m)| framed(i as u32, m)).collect();

@@ -207,6 +207,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
+    #[cfg_attr(miri, ignore = "too long for an interpreter")]
     fn sine_is_the_thesis_test_within_the_last_count() {
         let reference = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
         let mut different = 0;
@@ -231,6 +232,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "too long for an interpreter")]
     fn sine_is_accurate_to_four_billionths() {
         for index in 0..100_000u64 {
             let phase = index.wrapping_mul(u64::MAX / 100_000);

@@ -245,6 +245,8 @@ fn the_position_stays_within_its_bound_or_a_fault_stops_the_motor() {
         honest.get(),
         farthest_unseen.get()
     );
+    // Two periods to see it, the way to standstill, and what reversals miscount.
+    assert!(farthest.get() < 10.0, "the motor itself left its bound by {} counts unseen", farthest.get());
     for end in ["completed", "PositionBound", "FollowingError", "EncoderStall"] {
         assert!(ends.contains_key(end), "no case ended with {end}: the test does not test");
     }

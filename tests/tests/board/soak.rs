@@ -70,11 +70,12 @@ fn soak() {
     let memory_before = resident_kib();
     for hour in 0..hours {
         let (ticks, span_us) = track(&mut bench, 3_599);
-        assert_eq!((ticks, span_us), (3_599 * 2_000, (3_599 * 2_000 - 1) * 500), "no drift between tick and time");
+        assert_eq!(span_us, (ticks - 1) * 500, "no drift between tick and time");
+        // A tick starts up to 3 µs late here, and a run ends with the first that starts a whole duration after its first: the
+        // same, or the one after.
+        assert!((3_599 * 2_000..=3_599 * 2_000 + 1).contains(&ticks), "{ticks} ticks in 3599 s");
         assert!(bench.session.tally().is_lossless(), "{:?}", bench.session.tally());
-        if hour % 4 == 3 {
-            println!("{} h of motion in {:.0} s", hour + 1, started.elapsed().as_secs_f64());
-        }
+        println!("{} h of motion in {:.0} s", hour + 1, started.elapsed().as_secs_f64());
     }
     let grown = resident_kib().saturating_sub(memory_before);
     println!(
