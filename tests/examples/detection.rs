@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p twum-tests --example detection -- [--scale 1.0] [--out docs/detection.md]`
 //! Every data set is drawn from a stated seed; `--scale` multiplies the number of data sets of every part.
-//! `--only NAME,NAME` looks at single effects at ρ = 1 alone, and prints a line a data set.
+//! `--only NAME,NAME [--rho 1]` looks at single effects alone, and prints a line a data set.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -116,11 +116,11 @@ impl Count {
     }
 }
 
-fn look_at(names: &[&str], seeds: u64) {
+fn look_at(names: &[&str], rho: f64, seeds: u64) {
     for name in OPEN_LOOP.into_iter().filter(|n| names.contains(n)) {
         for seed in 1000..1000 + seeds {
             let sealed = Sealed::new(Design::small(), seed);
-            let (hidden, achieved) = hide(&sealed, name, 1.0, seed);
+            let (hidden, achieved) = hide(&sealed, name, rho, seed);
             let d = answer(&sealed.make(&[hidden]), seed, &[]);
             println!("{name} rho {achieved:.2} seed {seed}: {} {}", d.verdict.word(), d.suspected().join("+"));
         }
@@ -135,7 +135,8 @@ fn main() {
     let times = |n: usize| ((n as f64 * scale).round() as usize).max(1) as u64;
     let start = Instant::now();
     if let Some(only) = value("--only") {
-        look_at(&only.split(',').collect::<Vec<_>>(), times(8));
+        let rho = value("--rho").map_or(1.0, |s| s.parse().expect("--rho takes a number"));
+        look_at(&only.split(',').collect::<Vec<_>>(), rho, times(8));
         return;
     }
     let mut doc = String::new();

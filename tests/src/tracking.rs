@@ -102,7 +102,7 @@ fn sine(
             late.push_back(made);
             let (u, duty, direction) = late.pop_front().unwrap_or(made);
             let row = Row { time_us, target, position, u, duty, direction: direction.into() };
-            if time_us % PWM_US == 0 {
+            if time_us.is_multiple_of(PWM_US) {
                 latched = duty;
             }
             for n in 0..SUB {

@@ -150,8 +150,11 @@ impl Diagnosis {
         let explained = explained_gain(outcome);
         // A named cause must not leave behind, unexplained, a good part of what it claims to explain.
         let left = outcome.unknown.iter().map(|u| u.gain).fold(0.0, f64::max);
-        let lack =
-            left >= super::search::LEAST_GAIN || (explained > 0.0 && left >= super::search::LACK_OF_FIT * explained);
+        // Where much is explained, little of it is left by the difference of forms alone; where nothing is, the least gain counts.
+        let something = findings.iter().any(|f| f.status != Status::Rejected);
+        let tolerated =
+            if something { super::search::LACK_OF_FIT * explained.max(0.0) } else { super::search::LEAST_GAIN };
+        let lack = left >= tolerated;
         if lack && explained > 0.0 {
             // What was found in the controller or in the record itself does not hang on the plant's fit.
             let plant = |f: &&mut Finding| {

@@ -186,7 +186,7 @@ fn bisect(low: f64, high: f64, f: &dyn Fn(f64) -> f64) -> Option<f64> {
     if start == 0.0 {
         return Some(low);
     }
-    if !(start * end < 0.0) {
+    if start.is_nan() || end.is_nan() || start.signum() == end.signum() {
         return None;
     }
     for _ in 0..40 {

@@ -412,6 +412,8 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         }
     }
 
+    settle(&mut findings);
+
     progress("looking for what no candidate explains", 0.9);
     let mut unknown = Vec::new();
     {
@@ -474,6 +476,26 @@ fn clock_explains(problem: &Problem, baseline: &Model, gaps: &super::gaps::Gaps)
         m.parameters.set(P::ClockError, 4e-4 * f64::from(k));
         square(problem, &m) < 1.05 * with_gaps
     })
+}
+
+/// A rival that earned a place of its own in a later step was no rival: its first entry goes, and what it left alone is named.
+fn settle(findings: &mut Vec<Finding>) {
+    let mut k = 0;
+    while k < findings.len() {
+        let name = findings[k].name.clone();
+        let later = findings[k + 1..].iter().any(|f| f.name == name && f.status != Status::Rejected);
+        if findings[k].status == Status::Ambiguous && later {
+            findings.remove(k);
+            for f in findings.iter_mut().take_while(|f| f.name != name) {
+                f.conflicts.retain(|c| *c != name);
+                if f.status == Status::Ambiguous && f.conflicts.is_empty() {
+                    f.status = Status::Named;
+                }
+            }
+        } else {
+            k += 1;
+        }
+    }
 }
 
 fn conflict(a: &Effect, b: &Effect) -> bool {
@@ -1006,4 +1028,39 @@ fn mean_error(d: &RunDesign, set: &[usize], beta: &DVector<f64>) -> f64 {
         sum += (d.y[k] - fit) * d.weight[k];
     }
     sum / d.seconds.max(1e-12)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn finding(name: &str, status: Status, conflicts: &[&str]) -> Finding {
+        Finding {
+            name: name.into(),
+            status,
+            gain: 0.2,
+            gain_interval: [0.1, 0.3],
+            p_null: 0.002,
+            parameters: Vec::new(),
+            conflicts: conflicts.iter().map(|c| (*c).to_owned()).collect(),
+            next_experiment: String::new(),
+            share: 0.0,
+            note: String::new(),
+        }
+    }
+
+    /// Fails if an effect appears twice, or if its former partner stays ambiguous with nobody.
+    #[test]
+    fn a_rival_that_is_found_on_its_own_is_listed_once() {
+        let mut findings = vec![
+            finding("dead-zone", Status::Ambiguous, &["direction-asymmetry"]),
+            finding("direction-asymmetry", Status::Ambiguous, &["dead-zone"]),
+            finding("direction-asymmetry", Status::Named, &[]),
+        ];
+        settle(&mut findings);
+        assert_eq!(
+            findings,
+            [finding("dead-zone", Status::Named, &[]), finding("direction-asymmetry", Status::Named, &[])]
+        );
+    }
 }
