@@ -101,7 +101,7 @@ fn sine(
             let made = (f64::from(out.u) / 65_536.0, f64::from(out.on_steps) / steps, out.direction.sign());
             late.push_back(made);
             let (u, duty, direction) = late.pop_front().unwrap_or(made);
-            let row = Row { time_us, target, position, u, duty, direction: direction.into() };
+            let row = Row { time_us, target, position, u, duty, direction };
             if time_us.is_multiple_of(PWM_US) {
                 latched = duty;
             }

@@ -230,7 +230,7 @@ impl Trial {
     pub fn sampled(&self) -> EdgeTrain {
         let train = EdgeTrain::from_levels(0.0, PERIOD_US, &self.levels, EDGES_PER_REV, &self.directions)
             .expect("period and edges are constants above zero");
-        self.from_rest(train)
+        self.started_from_rest(train)
     }
 
     /// The edges with times of their own, to 1 µs.
@@ -239,11 +239,11 @@ impl Trial {
         let train =
             EdgeTrain::from_times(0.0, end_us, &self.edges, TIME_UNCERTAINTY_US, EDGES_PER_REV, &self.directions)
                 .expect("the motions leave whole microseconds between edges");
-        self.from_rest(train)
+        self.started_from_rest(train)
     }
 
     /// A bench knows when it switched the drive on.
-    fn from_rest(&self, train: EdgeTrain) -> EdgeTrain {
+    fn started_from_rest(&self, train: EdgeTrain) -> EdgeTrain {
         match self.drive_on_us {
             Some(time_us) => train.at_rest_until(time_us),
             None => train,
