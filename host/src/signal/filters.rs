@@ -101,7 +101,7 @@ pub(super) const LANES: usize = 8;
 /// `medfilt`. The samples are finite.
 ///
 /// The median of 2h + 1 values is never the least nor the greatest of any h + 2 of them: both are thrown away, the next
-/// value comes in, until one is left. The same comparisons serve [`LANES`] samples side by side.
+/// value comes in, until one is left. The same comparisons serve `LANES` samples side by side.
 pub fn median(x: &[f64], window: usize) -> Vec<f64> {
     let half = window / 2;
     let mut padded = vec![0.0; half];
