@@ -291,9 +291,15 @@ pub fn library(on_acceleration: f64) -> Vec<Effect> {
         Effect {
             name: "supply-sag",
             says: "the supply gives way under load: more drive power, less speed, at once",
-            equation: "speed·(1 − r·u)  (V = V₀ − R·I)",
-            shapes: vec![one(P::Sag, 0.2, 0.01)],
-            reported: vec![size("speed_lost_at_full_duty", "1", P::Sag, 0.0, 0.9)],
+            equation: "speed·(1 − r·s), τ·ds/dt = drive − s  (V = V₀ − R·I, with the supply's capacitance)",
+            shapes: [0.003, 0.01, 0.03, 0.1]
+                .iter()
+                .map(|tau| shaped(P::Sag, 0.2, 0.01, vec![(P::SagTime, *tau)]))
+                .collect(),
+            reported: vec![
+                size("speed_lost_at_full_duty", "1", P::Sag, 0.0, 0.9),
+                form("supply_time_s", "s", P::SagTime, 1e-3, 0.25),
+            ],
             conflicts: &["resonance-heating", "high-duty-saturation"],
             next_experiment: "repeat duties 0.5 and 1 with the supply's voltage logged, or from a stiffer supply",
         },

@@ -13,6 +13,35 @@ pub struct Free {
     pub scale: f64,
     /// Admissible range.
     pub bounds: (f64, f64),
+    /// What is known before the data: centre, and standard deviation of the logarithm.
+    pub prior: Option<(f64, f64)>,
+}
+
+impl Free {
+    /// Precision of the prior for a step in units of `scale`, and its pull, both times the residual variance.
+    fn prior_at(&self, value: f64, variance: f64) -> [f64; 2] {
+        match self.prior {
+            Some((centre, sd)) if value > 0.0 => {
+                let slope = self.scale / value;
+                [variance * (slope / sd).powi(2), -variance * slope * (value / centre).ln() / (sd * sd)]
+            }
+            _ => [0.0; 2],
+        }
+    }
+}
+
+/// The priors of `free` at `model`, for [`Grams::fit_all`].
+pub fn priors_at(free: &[Free], model: &Model, variance: f64) -> Vec<[f64; 2]> {
+    free.iter().map(|f| f.prior_at(model.parameters.get(f.parameter), variance)).collect()
+}
+
+/// What the priors add to the objective.
+pub fn penalty(free: &[Free], model: &Model, variance: f64) -> f64 {
+    free.iter()
+        .filter_map(|f| f.prior.map(|(centre, sd)| (model.parameters.get(f.parameter) / centre, sd)))
+        .filter(|(ratio, _)| *ratio > 0.0)
+        .map(|(ratio, sd)| variance * (ratio.ln() / sd).powi(2))
+        .sum()
 }
 
 /// Which phased coefficients are fitted.
@@ -109,18 +138,18 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
         let designs = problem.design(&model, &columns_of(free));
         let grams = Grams::new(&designs, 0, &scales, Some(&[]), vec![everything(problem.runs.len())]);
         let (variance, spread) = (grams.variance, grams.gain_spread);
-        let before = objective(problem, &model, variance, spread);
-        let all: Vec<usize> = (0..problem.runs.len()).collect();
-        let step = grams.fit(&all, &set);
+        let target = |m: &Model| objective(problem, m, variance, spread) + penalty(free, m, variance);
+        let before = target(&model);
+        let step = grams.fit_all(&set, &priors_at(free, &model, variance)).0;
         let mut accepted = None;
         let mut factor = 1.0;
         for _ in 0..5 {
             let mut trial = model.clone();
             for (f, s) in free.iter().zip(step.iter()) {
-                let value = trial.parameters.get(f.parameter) + factor * s.clamp(-3.0, 3.0) * f.scale;
+                let value = moved(f.parameter, trial.parameters.get(f.parameter), factor * s.clamp(-3.0, 3.0) * f.scale);
                 trial.parameters.set(f.parameter, value.clamp(f.bounds.0, f.bounds.1));
             }
-            let after = objective(problem, &trial, variance, spread);
+            let after = target(&trial);
             if after < before {
                 accepted = Some((trial, after));
                 break;
@@ -134,6 +163,17 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
         }
     }
     model
+}
+
+/// A parameter after a step of a linear fit. The angle that starting and stopping costs goes with the inverse of the rates, so a
+/// step of theirs is one of the inverse.
+fn moved(parameter: P, value: f64, step: f64) -> f64 {
+    if matches!(parameter, P::OnAcceleration | P::OffDeceleration) && value > 0.0 {
+        let inverse = 1.0 - step / value;
+        if inverse > 0.0 { value / inverse } else { f64::INFINITY }
+    } else {
+        value + step
+    }
 }
 
 /// Squared error in rpm²·s with a random run gain of relative spread `spread` taken out.

@@ -165,6 +165,7 @@ impl Problem {
             schedule: &run.schedule,
             drive_end: run.drive_end,
             times: &run.times,
+            half_sample_s: run.half_sample_s(),
             angles: &run.angles,
             warmth,
             revolutions: self.revolutions_before[i],

@@ -65,6 +65,8 @@ pub enum P {
     StribeckSpeed,
     /// `supply-sag`: relative speed lost at full duty.
     Sag,
+    /// `supply-sag`: time in s in which the supply gives way and recovers.
+    SagTime,
     /// `run-in-wear`: relative speed change per unit of log(1 + revs/r0).
     Wear,
     /// `run-in-wear`: r0 in revolutions.
@@ -79,7 +81,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 30] = [
+    pub const ALL: [P; 31] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -105,6 +107,7 @@ impl P {
         P::StribeckDeceleration,
         P::StribeckSpeed,
         P::Sag,
+        P::SagTime,
         P::Wear,
         P::WearRevolutions,
         P::Backlash,
@@ -129,6 +132,7 @@ impl Parameters {
         p.set(P::HeatTau, 1.0);
         p.set(P::SettleTau, 0.03);
         p.set(P::QuantSteps, 32.0);
+        p.set(P::SagTime, 0.01);
         p.set(P::StribeckSpeed, 0.5);
         p.set(P::WearRevolutions, 1.0);
         p
@@ -215,6 +219,8 @@ pub struct RunInput<'a> {
     pub drive_end: f64,
     /// Measured times in s, ascending, at which the angle is wanted.
     pub times: &'a [f64],
+    /// Half a sampling period in s (0 for times that are exact): an edge was somewhere in the period around its time.
+    pub half_sample_s: f64,
     /// Measured angle at these times in rad (angle-dependent effects read it).
     pub angles: &'a [f64],
     /// Warmth carried into this run, 0..1.
@@ -230,13 +236,20 @@ struct State {
 }
 
 /// Rotor angle in rad at every measured time, and the rotor speed there in rad/s.
+///
+/// An edge that was seen between two samples lies, its place on the wheel being unknown, anywhere between the rotor's angles at
+/// the two with equal probability: what a measured time stands for is their mean, not the angle in the middle of the period. The
+/// two differ wherever the rotor starts or stops, thousands of times a run.
 pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut Vec<f64>, speed: &mut Vec<f64>) {
     angle.clear();
     speed.clear();
     let clock = 1.0 + p.get(P::ClockError);
     let latency = p.get(P::Latency);
-    let true_time = |k: usize| (input.times[k] - latency) / clock;
-    let count = input.times.len();
+    // Asked for on both sides of every time; put together at the end.
+    let half = input.half_sample_s;
+    let sided = |q: usize| input.times[q / 2] + if q.is_multiple_of(2) { -half } else { half };
+    let true_time = |q: usize| (if half > 0.0 { sided(q) } else { input.times[q] } - latency) / clock;
+    let count = if half > 0.0 { 2 * input.times.len() } else { input.times.len() };
     let mut next = 0;
     let mut warmth = input.warmth;
     let heat_loss = p.get(P::HeatLoss);
@@ -247,6 +260,8 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     let wear_slope = p.get(P::Wear);
     let wear_r0 = p.get(P::WearRevolutions).max(1e-6);
     let sag = p.get(P::Sag);
+    let sag_time = p.get(P::SagTime).max(1e-4);
+    let mut sagged = 0.0;
     let free_speed = p.get(P::FreeSpeed);
     let on_acceleration = p.get(P::OnAcceleration).max(1.0);
     let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
@@ -266,6 +281,9 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     if viscous != 0.0 {
         step_limit = step_limit.min(0.02 / viscous.max(1e-9)).max(5e-4);
     }
+    if sag != 0.0 {
+        step_limit = step_limit.min(0.25 * sag_time).max(5e-4);
+    }
     if stribeck != 0.0 {
         step_limit = 2.5e-4;
     }
@@ -276,7 +294,7 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
 
     // Advances to `until` with the drive on or off, answering queries on the way.
     let mut advance =
-        |state: &mut State, until: f64, on: bool, brake: f64, duty: f64, warmth: f64, next: &mut usize| {
+        |state: &mut State, until: f64, on: bool, brake: f64, warmth: f64, next: &mut usize| {
             while state.t < until - 1e-12 && *next < count {
                 while direction_index + 1 < directions.len() && directions[direction_index + 1].0 <= state.t + 1e-12 {
                     direction_index += 1;
@@ -290,7 +308,7 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
                 let mut modulation = 0.0;
                 if has_angle {
                     let now = state.t * clock + latency;
-                    while measured + 1 < count && input.times[measured + 1] <= now {
+                    while measured + 1 < input.times.len() && input.times[measured + 1] <= now {
                         measured += 1;
                     }
                     let theta = input.angles[measured];
@@ -312,10 +330,14 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
                 let mut acceleration = on_acceleration;
                 if on {
                     let mut gain =
-                        1.0 - heat_loss * warmth - sag * duty + sign * p.get(P::AsymSpeed) + modulation + wear;
+                        1.0 - heat_loss * warmth + sign * p.get(P::AsymSpeed) + modulation + wear;
                     if wear_slope != 0.0 {
                         let revs = input.revolutions + state.angle.abs() / std::f64::consts::TAU;
                         gain += wear_slope * ((1.0 + revs / wear_r0) / (1.0 + input.revolutions / wear_r0)).ln();
+                    }
+                    if sag != 0.0 {
+                        let middle = 1.0 - (1.0 - sagged) * (-0.5 * (end - state.t) / sag_time).exp();
+                        gain -= sag * middle;
                     }
                     if settle != 0.0 {
                         let middle = 0.5 * (state.t + end);
@@ -323,6 +345,10 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
                     }
                     target = sign * free_speed * gain.max(0.0);
                     acceleration *= (1.0 + modulation).max(0.01);
+                }
+                if sag != 0.0 {
+                    let drive = if on { 1.0 } else { 0.0 };
+                    sagged = drive + (sagged - drive) * (-(end - state.t) / sag_time).exp();
                 }
                 let band = (band_fraction * target.abs()).max(1e-6);
                 while state.t < end - 1e-12 && *next < count {
@@ -365,11 +391,11 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
         let on_from = on_from.clamp(period.start, period.end).min(input.drive_end);
         let off_until = period.end.min(input.drive_end);
         if ring_down > 0.0 && duty < 1.0 - 1e-9 {
-            advance(&mut state, on_from.min(period.start + ring_down), false, on_acceleration, duty, warmth, &mut next);
+            advance(&mut state, on_from.min(period.start + ring_down), false, on_acceleration, warmth, &mut next);
         }
-        advance(&mut state, on_from, false, off_brake, duty, warmth, &mut next);
+        advance(&mut state, on_from, false, off_brake, warmth, &mut next);
         if duty > 0.0 {
-            advance(&mut state, off_until, true, off_brake, duty, warmth, &mut next);
+            advance(&mut state, off_until, true, off_brake, warmth, &mut next);
         }
         if heat_loss != 0.0 {
             warmth = duty + (warmth - duty) * (-length / heat_tau).exp();
@@ -379,14 +405,22 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
         let last = true_time(count - 1).max(state.t) + 1e-6;
         if ring_down > 0.0 {
             let dying = last.min(state.t + ring_down);
-            advance(&mut state, dying, false, on_acceleration, 0.0, warmth, &mut next);
+            advance(&mut state, dying, false, on_acceleration, warmth, &mut next);
         }
-        advance(&mut state, last, false, off_brake, 0.0, warmth, &mut next);
+        advance(&mut state, last, false, off_brake, warmth, &mut next);
     }
     // Times before the start of the drive, or after numerical ties.
     while angle.len() < count {
         angle.push(state.angle);
         speed.push(state.speed);
+    }
+    if half > 0.0 {
+        for k in 0..input.times.len() {
+            angle[k] = 0.5 * (angle[2 * k] + angle[2 * k + 1]);
+            speed[k] = 0.5 * (speed[2 * k] + speed[2 * k + 1]);
+        }
+        angle.truncate(input.times.len());
+        speed.truncate(input.times.len());
     }
 }
 

@@ -1,7 +1,7 @@
 //! The procedure: refit, search, test, compare, remove, say what is left.
 
 use super::effects::{Effect, Shape, library, not_judged};
-use super::fit::{Free, PHASED_SCALE, Phased, columns_of, refit};
+use super::fit::{Free, PHASED_SCALE, Phased, columns_of, priors_at, refit};
 use super::problem::{Basis, Column, Model, Problem, RPM, RunDesign};
 use super::rotor::{P, Parameters};
 use super::stats::{Fold, Grams, Group, HeldOut, PhasedFit, folds, p_value};
@@ -143,25 +143,40 @@ struct Accepted {
     phased: Vec<Phased>,
 }
 
-/// The baseline's own parameters.
-pub fn baseline_free(p: &Parameters, coasting: bool) -> Vec<Free> {
+/// The baseline's own parameters at `p`; `home` are the motor file's.
+pub fn baseline_free(p: &Parameters, home: &Parameters, coasting: bool) -> Vec<Free> {
     let w = p.get(P::FreeSpeed);
     let a = p.get(P::OnAcceleration);
-    let mut free = vec![
-        Free { parameter: P::FreeSpeed, scale: w, bounds: (0.02 * w, 50.0 * w) },
-        Free { parameter: P::OnAcceleration, scale: a, bounds: (0.02 * a, 20.0 * a) },
-        Free { parameter: P::Viscous, scale: 1.0, bounds: (0.0, 50.0) },
-        Free { parameter: P::Latency, scale: 2e-3, bounds: (-5e-3, 1e-2) },
+    let coasts = p.get(P::RingDown) > 0.0;
+    let known = |rate: P| (!coasts && home.get(rate) > 0.0).then(|| (home.get(rate), RATE_LOG_SD));
+    let free = |parameter: P, scale: f64, bounds: (f64, f64)| Free { parameter, scale, bounds, prior: None };
+    let mut all = vec![
+        free(P::FreeSpeed, w, (0.02 * w, 50.0 * w)),
+        Free { prior: known(P::OnAcceleration), ..free(P::OnAcceleration, a, (0.02 * a, 20.0 * a)) },
+        free(P::Viscous, 1.0, (0.0, 50.0)),
+        free(P::Latency, 2e-3, (-5e-3, 1e-2)),
     ];
     if !coasting {
         // Down to a rotor that coasts: whether the wave's absence brakes at all is the motor's own affair.
-        free.insert(2, Free { parameter: P::OffDeceleration, scale: a, bounds: (0.0, 20.0 * a) });
+        let off = a.max(p.get(P::OffDeceleration));
+        all.insert(
+            2,
+            Free { prior: known(P::OffDeceleration), ..free(P::OffDeceleration, off, (0.0, 20.0 * a)) },
+        );
     }
-    if p.get(P::RingDown) > 0.0 {
-        free.push(Free { parameter: P::RingDown, scale: 5e-4, bounds: (1e-6, 5e-3) });
+    if coasts {
+        all.push(free(P::RingDown, 5e-4, (1e-6, 5e-3)));
     }
-    free
+    all
 }
+
+/// How well a motor file is believed to know its friction: standard deviation of the logarithm of both rates. Friction of one motor
+/// varies by a third from day to day, between motors by more; without any belief, the rates run away to swallow what a dead
+/// zone or a delay does to each pulse.
+const RATE_LOG_SD: f64 = 0.5;
+
+/// How much better a rotor that coasts must fit before it is believed of a motor whose friction is said to clamp it.
+const COASTING_GAIN: f64 = 0.2;
 
 /// Where the fit of the dying wave's braking starts: twice the build-up time of the 30 mm motor's stator (2·Ms/Cs; thesis,
 /// A.4), in s.
@@ -174,18 +189,19 @@ pub fn refit_baseline(problem: &Problem, start: &Parameters, coasting: bool) -> 
     if !coasting {
         starts.push(start.with(P::OffDeceleration, 0.1 * start.get(P::OffDeceleration)));
     }
-    let coasts = start.with(P::OffDeceleration, 0.0).with(P::RingDown, RING_DOWN_S);
-    starts.push(coasts.clone());
+    let coasting_start = start.with(P::OffDeceleration, 0.0).with(P::RingDown, RING_DOWN_S);
+    starts.push(coasting_start.clone());
     // A rotor that coasts is faster at part duty than the duty says: the start's free speed is read off the duty.
     let fastest = problem.runs.iter().map(|r| r.mean_speed_rpm().abs() / RPM).fold(0.0, f64::max);
     if fastest > 0.0 && fastest < 0.8 * start.get(P::FreeSpeed) {
-        starts.push(coasts.with(P::FreeSpeed, fastest));
+        starts.push(coasting_start.with(P::FreeSpeed, fastest));
     }
-    let fitted = |start: &Parameters, iterations: usize| {
-        let free = baseline_free(start, coasting);
-        let model = refit(problem, problem.model(start.clone()), &free, &[], iterations).0;
+    let fitted = |from: &Parameters, iterations: usize| {
+        let free = baseline_free(from, start, coasting);
+        let model = refit(problem, problem.model(from.clone()), &free, &[], iterations).0;
         let value = super::fit::objective(problem, &model, 1.0, 0.0);
-        (value, model)
+        let doubt = if !coasting && coasts(&model) { 1.0 / (1.0 - COASTING_GAIN) } else { 1.0 };
+        (doubt * value, model)
     };
     let best = starts.iter().map(|s| fitted(s, 4)).min_by(|a, b| a.0.total_cmp(&b.0));
     let near = best.map_or_else(|| start.clone(), |b| b.1.parameters);
@@ -194,6 +210,8 @@ pub fn refit_baseline(problem: &Problem, start: &Parameters, coasting: bool) -> 
 
 /// Context of one step of the search: designs and normal equations around the present model.
 struct Step {
+    /// The motor file's rates: where a refit starts that must not lean on what the baseline swallowed.
+    home: Parameters,
     base: Vec<usize>,
     candidates: Vec<Candidate>,
     flexible: Vec<(&'static str, Group)>,
@@ -228,7 +246,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
 
     progress("refitting the baseline", 0.05);
     let baseline = refit_baseline(problem, &start, settings.coasting);
-    let base_free = baseline_free(&baseline.parameters, settings.coasting);
+    let base_free = baseline_free(&baseline.parameters, &start, settings.coasting);
 
     let mut findings: Vec<Finding> = Vec::new();
     let (original, unrepaired) = (problem, baseline.clone());
@@ -241,7 +259,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     let (problem, baseline) = match &repaired {
         Some(gaps) => {
             findings.push(gaps.finding.clone());
-            (&gaps.problem, refit_baseline(&gaps.problem, &baseline.parameters, settings.coasting))
+            (&gaps.problem, refit_baseline(&gaps.problem, &start, settings.coasting))
         }
         None => (problem, baseline),
     };
@@ -252,7 +270,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     let mut noise: Option<(f64, f64)> = None;
     for round in 0..=MOST_EFFECTS {
         progress("searching the library", 0.1 + 0.15 * round as f64);
-        let step = linearise(problem, &model, &effects, &usable, &accepted, &base_free, &keys, &divisions);
+        let step = linearise(problem, &start, &model, &effects, &usable, &accepted, &base_free, &keys, &divisions);
         noise = Some((step.grams.variance, step.grams.gain_spread));
         let groups: Vec<Group> = step.candidates.iter().map(|c| c.group.clone()).collect();
         if groups.is_empty() || round == MOST_EFFECTS {
@@ -417,7 +435,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     progress("looking for what no candidate explains", 0.9);
     let mut unknown = Vec::new();
     {
-        let step = linearise(problem, &model, &effects, &[], &accepted, &base_free, &keys, &divisions);
+        let step = linearise(problem, &start, &model, &effects, &[], &accepted, &base_free, &keys, &divisions);
         let groups: Vec<Group> = step.flexible.iter().map(|f| f.1.clone()).collect();
         let (improvements, null) = step.grams.screen(&step.base, &groups, settings.repetitions, settings.seed + 77_777);
         for (k, (lives_in, group)) in step.flexible.iter().enumerate() {
@@ -514,6 +532,7 @@ struct Trial {
 #[allow(clippy::too_many_arguments)]
 fn linearise(
     problem: &Problem,
+    home: &Parameters,
     model: &Model,
     effects: &[Effect],
     usable: &[usize],
@@ -584,7 +603,7 @@ fn linearise(
     }
     let designs = problem.design(model, &columns);
     let grams = Grams::new(&designs, 0, &scales, Some(keys), divisions.to_vec());
-    Step { base, candidates, flexible, grams }
+    Step { home: home.clone(), base, candidates, flexible, grams }
 }
 
 fn distinct(values: impl Iterator<Item = f64>) -> usize {
@@ -638,7 +657,7 @@ fn try_candidate(
                     let value = beta[step.base.len() + k].clamp(-3.0, 3.0) * scale;
                     start.parameters.set(*parameter, value.clamp(bounds.0.min(0.0), bounds.1));
                     let scale = if *parameter == P::ClockError { 1e-3 } else { *scale };
-                    own.free.push(Free { parameter: *parameter, scale, bounds: (bounds.0.min(0.0), bounds.1) });
+                    own.free.push(Free { parameter: *parameter, scale, bounds: (bounds.0.min(0.0), bounds.1), prior: None });
                 }
             }
             for (q, v) in &shape.pinned {
@@ -647,7 +666,7 @@ fn try_candidate(
                 if !integer && free_carry {
                     let bounds =
                         effect.reported.iter().find(|r| r.parameter == *q).map_or((0.0, f64::INFINITY), |r| r.bounds);
-                    own.free.push(Free { parameter: *q, scale: (0.5 * v).max(1e-3), bounds });
+                    own.free.push(Free { parameter: *q, scale: (0.5 * v).max(1e-3), bounds, prior: None });
                 }
             }
         }
@@ -666,7 +685,7 @@ fn try_candidate(
     let mut all = accepted.to_vec();
     all.push(own.clone());
     if own.phased.is_empty() {
-        start = best_start(problem, model, start, effect, shape, base_free, &all, noise);
+        start = best_start(problem, &step.home, model, start, effect, shape, base_free, &all, noise);
     }
     let (fitted, phased_fits) = refit_accepted(problem, &start, base_free, &all);
     let held = held_out_at(problem, &fitted, base_free, &all, keys, divisions, Some(noise));
@@ -679,6 +698,7 @@ fn try_candidate(
 #[allow(clippy::too_many_arguments)]
 fn best_start(
     problem: &Problem,
+    home: &Parameters,
     model: &Model,
     linear: Model,
     effect: &Effect,
@@ -703,14 +723,29 @@ fn best_start(
         s.parameters.set(*parameter, (sense * size * scale).clamp(bounds.0.min(0.0), bounds.1));
         starts.push(s);
     }
+    // The baseline's refit may have taken part of the effect into its own rates: each start is tried with the motor's as well.
+    if !coasts(model) {
+        for k in 0..starts.len() {
+            let mut s = starts[k].clone();
+            for rate in [P::OnAcceleration, P::OffDeceleration, P::Viscous] {
+                s.parameters.set(rate, home.get(rate));
+            }
+            starts.push(s);
+        }
+    }
     for start in starts {
-        let (fitted, _) = refit(problem, start, &free, &[], 3);
-        let value = super::fit::objective(problem, &fitted, noise.0, noise.1);
+        let (fitted, _) = refit(problem, start, &free, &[], 4);
+        let value = super::fit::objective(problem, &fitted, noise.0, noise.1) + super::fit::penalty(&free, &fitted, noise.0);
         if best.as_ref().is_none_or(|b| value < b.0) {
             best = Some((value, fitted));
         }
     }
     best.map_or(linear, |b| b.1)
+}
+
+/// Whether the fitted rotor runs on with the drive off.
+fn coasts(model: &Model) -> bool {
+    model.parameters.get(P::RingDown) > 0.0 || model.parameters.get(P::OffDeceleration) <= 0.0
 }
 
 fn refit_accepted(
@@ -745,7 +780,7 @@ fn strip(model: &Model, effect: &Accepted) -> Model {
 }
 
 fn is_size(p: P) -> bool {
-    !matches!(p, P::HeatTau | P::HeatCarry | P::SettleTau | P::QuantSteps | P::StribeckSpeed | P::WearRevolutions)
+    !matches!(p, P::HeatTau | P::HeatCarry | P::SettleTau | P::SagTime | P::QuantSteps | P::StribeckSpeed | P::WearRevolutions)
 }
 
 /// Held-out errors at a fitted model: everything common is refitted without the runs that are scored.
@@ -854,7 +889,9 @@ fn estimate(
     let mut ok = true;
     if own.phased.is_empty() {
         let (grams, set, _) = local(problem, model, base_free, accepted, keys, divisions);
-        let (beta, cov) = grams.fit_all(&set);
+        let mut free = base_free.to_vec();
+        free.extend(accepted.iter().flat_map(|a| a.free.iter().copied()));
+        let (beta, cov) = grams.fit_all(&set, &priors_at(&free, model, grams.variance));
         let first = set.len() - own.free.len();
         let quantile = student_975(problem.runs.len().saturating_sub(set.len().min(problem.runs.len() - 1)).max(1));
         for reported in &effect.reported {

@@ -62,7 +62,7 @@ pub fn search(run: Observed, start: Parameters, repetitions: usize, seed: u64, w
     // The baseline is refitted on the first turn without the start-up.
     let mut first = run.clone();
     first.windows.retain(|w| usable(w) && !later(w) && !early(w));
-    let free = baseline_free(&start, false);
+    let free = baseline_free(&start, &start, false);
     let few = if run.duty.is_some_and(|d| d >= 1.0 - 1e-9) { 1 } else { free.len() };
     let fitting = Problem::new(vec![first]);
     let (baseline, _) = refit(&fitting, fitting.model(start), &free[..few], &[], 10);

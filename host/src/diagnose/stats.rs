@@ -320,9 +320,14 @@ impl Grams {
     }
 
     fn inverse(&self, runs: &[usize], set: &[usize]) -> DMatrix<f64> {
+        self.inverse_with(runs, set, &[])
+    }
+
+    fn inverse_with(&self, runs: &[usize], set: &[usize], prior: &[[f64; 2]]) -> DMatrix<f64> {
         let mut m = self.matrix(runs, set);
         for i in 0..set.len() {
             m[(i, i)] += self.ridge[set[i]] + 1e-12 * m[(i, i)].abs() + 1e-300;
+            m[(i, i)] += prior.get(i).map_or(0.0, |p| p[0]);
         }
         m.try_inverse().unwrap_or_else(|| DMatrix::zeros(set.len(), set.len()))
     }
@@ -333,11 +338,15 @@ impl Grams {
         self.inverse(runs, set) * b
     }
 
-    /// Coefficients of `set` on all runs with their cluster-robust covariance (runs are the clusters).
-    pub fn fit_all(&self, set: &[usize]) -> (DVector<f64>, DMatrix<f64>) {
+    /// Coefficients of `set` on all runs with their cluster-robust covariance (runs are the clusters). `prior` holds precision and
+    /// pull of each of the first columns, times the residual variance.
+    pub fn fit_all(&self, set: &[usize], prior: &[[f64; 2]]) -> (DVector<f64>, DMatrix<f64>) {
         let all: Vec<usize> = (0..self.runs.len()).collect();
-        let beta = self.fit(&all, set);
-        let inverse = self.inverse(&all, set);
+        let inverse = self.inverse_with(&all, set, prior);
+        let b = DVector::from_fn(set.len(), |i, _| {
+            all.iter().map(|r| self.b(*r, &self.runs[*r].b, set[i])).sum::<f64>() + prior.get(i).map_or(0.0, |p| p[1])
+        });
+        let beta = &inverse * b;
         let mut meat = DMatrix::zeros(set.len(), set.len());
         for r in 0..self.runs.len() {
             let score = DVector::from_fn(set.len(), |i, _| {
