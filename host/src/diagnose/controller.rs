@@ -155,7 +155,7 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     for (slot, k) in best.iter().enumerate() {
         let (name, ticks) = names[keep[*k]];
         let Group::Linear(own) = &groups[*k] else { continue };
-        let (beta, cov) = grams.fit_all(&[vec![0], own.clone()].concat(), &[]);
+        let (beta, cov) = grams.fit_all(&[vec![0], own.clone()].concat());
         let parameters = match ticks {
             Some(ticks) => {
                 let i = DELAYS.iter().position(|d| *d == ticks).unwrap_or(0);

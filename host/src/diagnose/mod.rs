@@ -25,7 +25,7 @@ use crate::record::measurement::{Format, Measurement, Run, RunData, RunKind};
 use answer::Diagnosis;
 use observe::{Observed, observe};
 use problem::Problem;
-use rotor::Parameters;
+use rotor::{P, Parameters};
 use search::{Outcome, Settings, search};
 
 /// Why nothing could be diagnosed.
@@ -214,7 +214,7 @@ pub fn diagnose(
     let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
     Ok((
         diagnosis,
-        Some(Details::Runs { problem: outcome.repaired.clone().unwrap_or(problem), outcome: Box::new(outcome) }),
+        Some(Details::Runs { problem: outcome.problem.clone(), outcome: Box::new(outcome) }),
     ))
 }
 
@@ -228,9 +228,10 @@ pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
         .collect();
     speeds.sort_by(f64::total_cmp);
     let free = if speeds.is_empty() { 3.6466 } else { speeds[(speeds.len() - 1) * 3 / 4] };
-    // u·Fext·R0/Jr and Ctheta/Jr of the 30 mm PCBMotor (thesis, A.4) where no motor is given.
+    // u·Fext·R0/Jr, Ctheta/Jr and 2·Ms/Cs of the 30 mm PCBMotor (thesis, A.4) where no motor is given.
     let [drive, brake, viscous] = options.motor.as_ref().map_or([1888.0, 1888.0, 0.261], motor::rates);
-    Parameters::new(free, drive, if options.coasting { 0.0 } else { brake }, viscous, 0.02)
+    let wave_time_s = options.motor.as_ref().map_or(2.28e-4, motor::wave_time_s);
+    Parameters::new(free, drive, if options.coasting { 0.0 } else { brake }, viscous, 0.02).with(P::WaveTime, wave_time_s)
 }
 
 /// Metadata that contradict the record.

@@ -16,6 +16,11 @@ pub fn rates(p: &Parameters) -> [f64; 3] {
     [p.friction * per_friction, p.off_friction * per_friction, p.rotational_damping_nms / p.rotor_inertia_kg_m2]
 }
 
+/// Time in s in which the stator's wave builds up and dies away: 2·Ms/Cs (thesis, A.4).
+pub fn wave_time_s(p: &Parameters) -> f64 {
+    2.0 * p.modal_mass_kg / p.modal_damping_ns_m
+}
+
 /// Steady speed of the averaged model under full drive in rad/s.
 pub fn free_speed(p: Parameters, flavour: Flavour) -> f64 {
     let mut model = Averaged::new(p, flavour);

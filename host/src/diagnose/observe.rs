@@ -67,12 +67,47 @@ impl Observed {
         self.windows.iter().map(|w| self.duration(w)).sum()
     }
 
+    /// Takes encoder edges (time in s, level after it) of a record from `start` to `end` for what was measured.
+    pub fn put_edges(&mut self, edges: &[(f64, bool)], initial: bool, start: f64, end: f64) {
+        let word = |level: bool| if level { 1 } else { -1 };
+        let start = start.max(0.0);
+        let end = end.min(self.drive_end + 0.2);
+        let step = self.direction * self.pitch;
+        let mut angle = 0.0;
+        (self.times, self.angles, self.level, self.windows) = (vec![start], vec![0.0], vec![word(initial)], Vec::new());
+        for (t, level) in edges {
+            if *t <= start || *t > end {
+                continue;
+            }
+            let k = self.times.len();
+            angle += if k == 1 { 0.5 * step } else { step };
+            self.times.push(*t);
+            self.angles.push(angle);
+            self.level.push(word(*level));
+            if k == 1 {
+                self.windows.push(Window { from: 0, to: 1, low: step.min(0.0), high: step.max(0.0) });
+            } else {
+                self.windows.push(Window { from: k - 1, to: k, low: step, high: step });
+            }
+        }
+        let k = self.times.len();
+        if end > self.times[k - 1] + 1e-9 {
+            self.times.push(end);
+            self.angles.push(angle);
+            self.level.push(0);
+            self.windows.push(Window { from: k - 1, to: k, low: step.min(0.0), high: step.max(0.0) });
+        }
+    }
+
     /// Compares over stretches of several edges where single intervals are short against the sampling.
     ///
     /// The times at both ends of an interval are uncertain, and so is its length, by which its residual is weighted: that bends a fit by
     /// the square of (uncertainty / length), 1 % for 4 ms at 1 ms sampling. Stretches of an odd number of edges keep the slots of
     /// the wheel apart; they overlap, so that every edge is an end.
     pub fn widen(&mut self) {
+        if self.kind != RunKind::Speed {
+            return;
+        }
         let exact: Vec<Window> = self.windows.iter().copied().filter(|w| w.low == w.high).collect();
         let (Some(first), Some(last)) = (exact.first(), exact.last()) else { return };
         let mean = (self.times[last.to] - self.times[first.from]) / exact.len() as f64;
@@ -232,37 +267,7 @@ fn from_edges(
     o.record_end = end;
     o.drive_end = run.drive_on_s.unwrap_or(end);
     o.schedule = Schedule::constant(duty, o.direction, run.pwm_hz, run.pwm_phase_s, o.drive_end);
-    let word = |level: bool| if level { 1 } else { -1 };
-    let start = start.max(0.0);
-    let end = end.min(o.drive_end + 0.2);
-    let step = o.direction * o.pitch;
-    o.times.push(start);
-    o.angles.push(0.0);
-    o.level.push(word(initial));
-    let mut angle = 0.0;
-    for (t, level) in edges {
-        if *t <= start || *t > end {
-            continue;
-        }
-        let k = o.times.len();
-        angle += if k == 1 { 0.5 * step } else { step };
-        o.times.push(*t);
-        o.angles.push(angle);
-        o.level.push(word(*level));
-        if k == 1 {
-            o.windows.push(Window { from: 0, to: 1, low: step.min(0.0), high: step.max(0.0) });
-        } else {
-            o.windows.push(Window { from: k - 1, to: k, low: step, high: step });
-        }
-    }
-    let k = o.times.len();
-    if end > o.times[k - 1] + 1e-9 {
-        o.times.push(end);
-        o.angles.push(angle);
-        o.level.push(0);
-        o.windows.push(Window { from: k - 1, to: k, low: step.min(0.0), high: step.max(0.0) });
-    }
-    o.widen();
+    o.put_edges(edges, initial, start, end);
     Ok(())
 }
 

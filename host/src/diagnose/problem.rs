@@ -3,6 +3,8 @@
 use super::observe::Observed;
 use super::rotor::{P, Parameters, RunInput, RunTerms, simulate, warm_up};
 use crate::record::measurement::RunKind;
+use rand::{Rng, RngExt};
+use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -70,6 +72,9 @@ pub enum Basis {
     Phase(usize, usize),
     /// `cos` (even) or `sin` (odd) of harmonic `k/2 + 1` of the measured angle.
     Angle(usize),
+    /// The free speed, in millisecond `k` after each rise of the drive or (`false`) each fall: what the rotor equation leaves out of
+    /// the wave's coming and going.
+    AfterSwitching(bool, usize),
     /// `cos`/`sin` of `hz` over time: a rhythm that is neither the drive's nor the rotor's.
     Rhythm(usize, f64),
 }
@@ -106,6 +111,70 @@ impl Problem {
             }
         }
         Self { runs, revolutions_before, sequence }
+    }
+
+    /// The same runs compared over stretches of several edges, see [`Observed::widen`].
+    pub fn widened(mut self) -> Self {
+        self.runs.iter_mut().for_each(Observed::widen);
+        self
+    }
+
+    /// The same experiment as `model` would have made it: sampled at the same times, each run with its own speed (relative spread
+    /// `gain_spread`) and its own place on the wheel. `None` unless every run was sampled.
+    pub fn remade(&self, model: &Model, gain_spread: f64, rng: &mut impl Rng) -> Option<Self> {
+        if !self.runs.iter().all(|r| r.kind == RunKind::Speed && r.pitch > 0.0 && r.half_sample_s() > 0.0) {
+            return None;
+        }
+        let warmth = self.warmth(&model.parameters);
+        let drawn: Vec<(f64, f64)> = self
+            .runs
+            .iter()
+            .map(|_| (1.0 + gain_spread * rng.sample::<f64, _>(StandardNormal), rng.random::<f64>()))
+            .collect();
+        let runs = (0..self.runs.len())
+            .into_par_iter()
+            .map(|i| self.run_remade(i, model, warmth[i], drawn[i].0, drawn[i].1))
+            .collect();
+        Some(Self { runs, ..self.clone() }.widened())
+    }
+
+    fn run_remade(&self, i: usize, model: &Model, warmth: f64, gain: f64, place: f64) -> Observed {
+        let run = &self.runs[i];
+        let (start, period) = (run.times[0], 2.0 * run.half_sample_s());
+        let times: Vec<f64> =
+            (0..((run.record_end - start) / period) as usize + 1).map(|k| start + k as f64 * period).collect();
+        let mut before = 0;
+        let measured: Vec<f64> = times
+            .iter()
+            .map(|t| {
+                while before + 2 < run.times.len() && run.times[before + 1] <= *t {
+                    before += 1;
+                }
+                let (a, b) = (run.times[before], run.times[(before + 1).min(run.times.len() - 1)]);
+                let share = if b > a { ((t - a) / (b - a)).clamp(0.0, 1.0) } else { 0.0 };
+                run.angles[before] + share * (run.angles[(before + 1).min(run.angles.len() - 1)] - run.angles[before])
+            })
+            .collect();
+        let parameters = model.parameters.with(P::FreeSpeed, gain * model.parameters.get(P::FreeSpeed));
+        let terms = &model.terms[i];
+        let input = RunInput { times: &times, half_sample_s: 0.0, angles: &measured, ..self.input(i, warmth) };
+        let mut angle = Vec::with_capacity(times.len());
+        simulate(&input, &parameters, terms, &mut angle, &mut Vec::new());
+        let high = 0.5 * (1.0 + parameters.get(P::EdgeOffset));
+        let level = |k: usize| {
+            let (sin, cos) = measured[k].sin_cos();
+            let read = angle[k] + terms.eccentricity[0] * cos + terms.eccentricity[1] * sin;
+            (read / (2.0 * run.pitch) + place).rem_euclid(1.0) < high
+        };
+        let mut edges = Vec::with_capacity(run.times.len());
+        for k in 1..times.len() {
+            if level(k) != level(k - 1) {
+                edges.push((times[k] - 0.5 * period, level(k)));
+            }
+        }
+        let mut made = run.clone();
+        made.put_edges(&edges, level(0), start, run.record_end);
+        made
     }
 
     /// Whether the order of the runs is known.
@@ -314,6 +383,15 @@ impl Problem {
                                     Basis::Angle(j) => {
                                         let h = (j / 2 + 1) as f64 * theta;
                                         if j % 2 == 0 { h.cos() } else { h.sin() }
+                                    }
+                                    Basis::AfterSwitching(rise, j) => {
+                                        let share = run.schedule.share_after_switching(
+                                            [run.times[w.from], run.times[w.to]],
+                                            rise,
+                                            1e-3 * j as f64,
+                                            p,
+                                        );
+                                        return run.direction * share * p.get(P::FreeSpeed) * RPM;
                                     }
                                     Basis::Rhythm(j, hz) => {
                                         let a = TAU * hz * t;

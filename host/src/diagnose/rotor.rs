@@ -23,6 +23,9 @@ pub enum P {
     /// How long the dying wave brakes with the drive's own torque after each fall of the drive, in s: all the braking a
     /// coasting rotor has.
     RingDown,
+    /// Time in which the stator's wave builds up and dies away, in s, from the motor file (2·Ms/Cs): a crest that is faster than
+    /// the rotor goes on driving it after a fall, one that is slower goes on braking it after a rise.
+    WaveTime,
     /// Viscous damping over inertia in 1/s.
     Viscous,
     /// Common delay of the record behind the drive in s (a nuisance, not physics).
@@ -81,11 +84,12 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 31] = [
+    pub const ALL: [P; 32] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
         P::RingDown,
+        P::WaveTime,
         P::Viscous,
         P::Latency,
         P::SlipBand,
@@ -204,6 +208,20 @@ impl Schedule {
         Self { periods, directions: vec![(0.0, direction)] }
     }
 
+    /// Share of the time between two instants that lies within the millisecond `after_s` behind a rise of the drive, or (`false`) a fall.
+    pub fn share_after_switching(&self, [from, to]: [f64; 2], rise: bool, after_s: f64, p: &Parameters) -> f64 {
+        let latency = p.get(P::Latency);
+        let (from, to) = (from - latency, to - latency);
+        let first = self.periods.partition_point(|k| k.end + 0.01 < from);
+        let inside = self.periods[first..].iter().take_while(|k| k.start < to).filter_map(|k| {
+            let duty = effective_duty(k.duty, p);
+            let rises = k.end - duty * (k.end - k.start) + p.get(P::StartDelay);
+            (duty > 0.0 && rises > k.start).then_some(if rise { rises } else { k.end })
+        });
+        let overlap = |at: f64| ((at + 1e-3).min(to) - at.max(from)).max(0.0);
+        inside.map(|switched| overlap(switched + after_s)).sum::<f64>() / (to - from).max(1e-9)
+    }
+
     /// Total time with drive on, in s, up to `until`.
     pub fn drive_time(&self) -> f64 {
         self.periods.iter().map(|p| (p.end - p.start) * p.duty).sum()
@@ -268,6 +286,8 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     let viscous = p.get(P::Viscous);
     let off_brake = p.get(P::OffDeceleration).max(0.0);
     let ring_down = p.get(P::RingDown).max(0.0);
+    let wave_time = p.get(P::WaveTime).max(0.0);
+    let mut wave = Wave { tau: wave_time, full: free_speed, rate: on_acceleration, crest: 0.0, since: 0.0 };
     let stribeck = p.get(P::StribeckDeceleration);
     let stribeck_speed = p.get(P::StribeckSpeed).max(1e-3);
     let has_angle = terms.runout.iter().chain(&terms.gravity).any(|c| *c != 0.0);
@@ -390,10 +410,22 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
         }
         let on_from = on_from.clamp(period.start, period.end).min(input.drive_end);
         let off_until = period.end.min(input.drive_end);
-        if ring_down > 0.0 && duty < 1.0 - 1e-9 {
-            advance(&mut state, on_from.min(period.start + ring_down), false, on_acceleration, warmth, &mut next);
+        if on_from > period.start + 1e-9 {
+            let overrun = wave.overrun_s(period.start, state.speed);
+            advance(&mut state, on_from.min(period.start + overrun), true, off_brake, warmth, &mut next);
+            if ring_down > 0.0 && duty < 1.0 - 1e-9 {
+                let dying = period.start + overrun + ring_down;
+                advance(&mut state, on_from.min(dying), false, on_acceleration, warmth, &mut next);
+            }
+            advance(&mut state, on_from, false, off_brake, warmth, &mut next);
+            if duty > 0.0 {
+                let overtaken = on_from + wave.overtaking_s(on_from, state.speed);
+                advance(&mut state, overtaken.min(off_until), false, on_acceleration, warmth, &mut next);
+                wave.rise(on_from, off_until);
+            }
+        } else if period.start <= 0.0 || duty > 0.0 {
+            wave.rise(on_from, off_until);
         }
-        advance(&mut state, on_from, false, off_brake, warmth, &mut next);
         if duty > 0.0 {
             advance(&mut state, off_until, true, off_brake, warmth, &mut next);
         }
@@ -403,6 +435,9 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     }
     if next < count {
         let last = true_time(count - 1).max(state.t) + 1e-6;
+        let overrun = wave.overrun_s(state.t, state.speed);
+        let overrun_end = last.min(state.t + overrun);
+        advance(&mut state, overrun_end, true, off_brake, warmth, &mut next);
         if ring_down > 0.0 {
             let dying = last.min(state.t + ring_down);
             advance(&mut state, dying, false, on_acceleration, warmth, &mut next);
@@ -421,6 +456,59 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
         }
         angle.truncate(input.times.len());
         speed.truncate(input.times.len());
+    }
+}
+
+/// Speed of the wave's crest after the drive was switched: it follows with a time constant.
+struct Wave {
+    tau: f64,
+    /// Speed of the full crest in rad/s.
+    full: f64,
+    /// What the contact accelerates or brakes the rotor by, in rad/s².
+    rate: f64,
+    /// Speed of the crest at `since`, the last fall.
+    crest: f64,
+    since: f64,
+}
+
+impl Wave {
+    fn crest_at(&self, t: f64) -> f64 {
+        self.crest * (-(t - self.since).max(0.0) / self.tau).exp()
+    }
+
+    /// The drive is on from `from` to `until`.
+    fn rise(&mut self, from: f64, until: f64) {
+        if self.tau > 0.0 {
+            self.crest = self.full - (self.full - self.crest_at(from)) * (-(until - from).max(0.0) / self.tau).exp();
+            self.since = until;
+        }
+    }
+
+    /// How long, after a fall, the crest stays faster than a rotor of `speed` that it still pulls, in s.
+    fn overrun_s(&self, fall: f64, speed: f64) -> f64 {
+        if self.tau <= 0.0 {
+            return 0.0;
+        }
+        let crest = self.crest_at(fall);
+        let mut time = 0.0;
+        for _ in 0..4 {
+            time = self.tau * (crest / (speed.abs() + self.rate * time).max(1e-3 * self.full)).max(1.0).ln();
+        }
+        time
+    }
+
+    /// How long, after a rise, the crest stays slower than a rotor of `speed` that it still brakes, in s.
+    fn overtaking_s(&self, rise: f64, speed: f64) -> f64 {
+        if self.tau <= 0.0 {
+            return 0.0;
+        }
+        let missing = 1.0 - self.crest_at(rise) / self.full;
+        let mut time = 0.0;
+        for _ in 0..4 {
+            let ratio = ((speed.abs() - self.rate * time).max(0.0) / self.full).min(0.98);
+            time = self.tau * (missing / (1.0 - ratio)).max(1.0).ln();
+        }
+        time
     }
 }
 

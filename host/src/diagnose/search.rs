@@ -1,10 +1,10 @@
 //! The procedure: refit, search, test, compare, remove, say what is left.
 
 use super::effects::{Effect, Shape, library, not_judged};
-use super::fit::{Free, PHASED_SCALE, Phased, columns_of, priors_at, refit};
+use super::fit::{Free, PHASED_SCALE, Phased, bias, columns_of, priors_at, refit};
 use super::problem::{Basis, Column, Model, Problem, RPM, RunDesign};
 use super::rotor::{P, Parameters};
-use super::stats::{Fold, Grams, Group, HeldOut, PhasedFit, folds, p_value};
+use super::stats::{Fold, Grams, Group, HeldOut, PhasedFit, Prior, folds, p_value};
 use nalgebra::DVector;
 
 /// Smallest held-out gain of a named cause.
@@ -122,8 +122,8 @@ pub struct Outcome {
     pub not_judged: Vec<(String, String)>,
     /// Noise floor in rpm.
     pub noise_floor: f64,
-    /// The runs with lost time put back, if any was lost.
-    pub repaired: Option<Problem>,
+    /// The runs as they were compared: lost time put back, stretches of several edges.
+    pub problem: Problem,
     /// Effects that were found, put in, and taken out again.
     pub removed: Vec<String>,
 }
@@ -143,26 +143,35 @@ struct Accepted {
     phased: Vec<Phased>,
 }
 
+/// A member of an answer with the model it was estimated in.
+struct Fitted {
+    own: Accepted,
+    others: Vec<Accepted>,
+    model: Model,
+}
+
 /// The baseline's own parameters at `p`; `home` are the motor file's.
 pub fn baseline_free(p: &Parameters, home: &Parameters, coasting: bool) -> Vec<Free> {
     let w = p.get(P::FreeSpeed);
     let a = p.get(P::OnAcceleration);
     let coasts = p.get(P::RingDown) > 0.0;
-    let known = |rate: P| (!coasts && home.get(rate) > 0.0).then(|| (home.get(rate), RATE_LOG_SD));
     let free = |parameter: P, scale: f64, bounds: (f64, f64)| Free { parameter, scale, bounds, prior: None };
+    // A rotor that coasts is not the file's motor.
+    let rate = |parameter: P, scale: f64, lowest: f64| {
+        let listed = home.get(parameter);
+        if coasts || listed <= 0.0 {
+            return free(parameter, scale, (lowest, 20.0 * a));
+        }
+        Free { prior: Some((listed, RATE_LOG_SD)), ..free(parameter, scale, (0.02 * listed, 20.0 * listed)) }
+    };
     let mut all = vec![
         free(P::FreeSpeed, w, (0.02 * w, 50.0 * w)),
-        Free { prior: known(P::OnAcceleration), ..free(P::OnAcceleration, a, (0.02 * a, 20.0 * a)) },
+        rate(P::OnAcceleration, a, 0.02 * a),
         free(P::Viscous, 1.0, (0.0, 50.0)),
         free(P::Latency, 2e-3, (-5e-3, 1e-2)),
     ];
     if !coasting {
-        // Down to a rotor that coasts: whether the wave's absence brakes at all is the motor's own affair.
-        let off = a.max(p.get(P::OffDeceleration));
-        all.insert(
-            2,
-            Free { prior: known(P::OffDeceleration), ..free(P::OffDeceleration, off, (0.0, 20.0 * a)) },
-        );
+        all.insert(2, rate(P::OffDeceleration, a.max(p.get(P::OffDeceleration)), 0.0));
     }
     if coasts {
         all.push(free(P::RingDown, 5e-4, (1e-6, 5e-3)));
@@ -171,9 +180,9 @@ pub fn baseline_free(p: &Parameters, home: &Parameters, coasting: bool) -> Vec<F
 }
 
 /// How well a motor file is believed to know its friction: standard deviation of the logarithm of both rates. Friction of one motor
-/// varies by a third from day to day, between motors by more; without any belief, the rates run away to swallow what a dead
-/// zone or a delay does to each pulse.
-const RATE_LOG_SD: f64 = 0.5;
+/// varies by a third from day to day, between motors by more; without any belief the rates run away to swallow what a dead zone
+/// or a delay does to each pulse.
+const RATE_LOG_SD: f64 = 0.3;
 
 /// How much better a rotor that coasts must fit before it is believed of a motor whose friction is said to clamp it.
 const COASTING_GAIN: f64 = 0.2;
@@ -199,7 +208,8 @@ pub fn refit_baseline(problem: &Problem, start: &Parameters, coasting: bool) -> 
     let fitted = |from: &Parameters, iterations: usize| {
         let free = baseline_free(from, start, coasting);
         let model = refit(problem, problem.model(from.clone()), &free, &[], iterations).0;
-        let value = super::fit::objective(problem, &model, 1.0, 0.0);
+        let misfit = super::fit::objective(problem, &model, 1.0, 0.0);
+        let value = misfit + super::fit::penalty(&free, &model, misfit / problem.runs.len() as f64);
         let doubt = if !coasting && coasts(&model) { 1.0 / (1.0 - COASTING_GAIN) } else { 1.0 };
         (doubt * value, model)
     };
@@ -244,30 +254,34 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         .collect();
     let divisions = folds(&keys, if problem.runs.len() < 8 { problem.runs.len() } else { 5 }, settings.seed);
 
-    progress("refitting the baseline", 0.05);
-    let baseline = refit_baseline(problem, &start, settings.coasting);
-    let base_free = baseline_free(&baseline.parameters, &start, settings.coasting);
-
     let mut findings: Vec<Finding> = Vec::new();
-    let (original, unrepaired) = (problem, baseline.clone());
-    progress("looking for lost samples", 0.08);
-    let repaired = if settings.without.iter().any(|w| w == "dropped-samples") {
+    progress("looking for lost samples", 0.02);
+    let gaps = if settings.without.iter().any(|w| w == "dropped-samples") {
         None
     } else {
+        let baseline = refit_baseline(problem, &start, settings.coasting);
         super::gaps::find(problem, &baseline, settings.seed).filter(|g| !clock_explains(problem, &baseline, g))
     };
-    let (problem, baseline) = match &repaired {
+    progress("refitting the baseline", 0.06);
+    let original = problem.clone().widened();
+    let unrepaired = refit_baseline(&original, &start, settings.coasting);
+    let (problem, baseline) = match gaps {
         Some(gaps) => {
-            findings.push(gaps.finding.clone());
-            (&gaps.problem, refit_baseline(&gaps.problem, &start, settings.coasting))
+            findings.push(gaps.finding);
+            let repaired = gaps.problem.widened();
+            let baseline = refit_baseline(&repaired, &start, settings.coasting);
+            (repaired, baseline)
         }
-        None => (problem, baseline),
+        None => (original.clone(), unrepaired.clone()),
     };
+    let problem = &problem;
+    let base_free = baseline_free(&baseline.parameters, &start, settings.coasting);
 
     let mut model = baseline.clone();
     let mut accepted: Vec<Accepted> = Vec::new();
     let mut first_evidence: Vec<Finding> = Vec::new();
     let mut noise: Option<(f64, f64)> = None;
+    let mut fits: Vec<Fitted> = Vec::new();
     for round in 0..=MOST_EFFECTS {
         progress("searching the library", 0.1 + 0.15 * round as f64);
         let step = linearise(problem, &start, &model, &effects, &usable, &accepted, &base_free, &keys, &divisions);
@@ -400,6 +414,11 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
                 note: String::new(),
             });
         }
+        fits.extend(set.iter().filter(|t| t.accepted.phased.is_empty()).map(|t| Fitted {
+            own: t.accepted.clone(),
+            others: accepted.clone(),
+            model: t.model.clone(),
+        }));
         model = winner.model.clone();
         accepted.push(winner.accepted.clone());
     }
@@ -432,6 +451,22 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
 
     settle(&mut findings);
 
+    progress("measuring what the sampling does to the numbers", 0.87);
+    for fit in &mut fits {
+        let Some(finding) =
+            findings.iter_mut().find(|f| f.name == effects[fit.own.effect].name && f.status != Status::Rejected)
+        else {
+            continue;
+        };
+        if accepted.iter().any(|a| a.effect == fit.own.effect) {
+            // What was accepted later has moved it.
+            fit.model = model.clone();
+            fit.others = accepted.iter().filter(|a| a.effect != fit.own.effect).cloned().collect();
+        }
+        let spread = noise.map_or(0.01, |n| n.1);
+        finding.parameters = calibrated(problem, fit, &effects, &base_free, &keys, &divisions, spread, settings);
+    }
+
     progress("looking for what no candidate explains", 0.9);
     let mut unknown = Vec::new();
     {
@@ -450,7 +485,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         unknown.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     }
 
-    let base_held = held_out_at(original, &unrepaired, &base_free, &[], &keys, &divisions, noise);
+    let base_held = held_out_at(&original, &unrepaired, &base_free, &[], &keys, &divisions, noise);
     let full_held = held_out_at(problem, &model, &base_free, &accepted, &keys, &divisions, noise);
     let mut held_out = base_held.clone();
     for (h, f) in held_out.loss.iter_mut().zip(&full_held.loss) {
@@ -472,7 +507,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     Outcome {
         // What is left bounds the floor from above.
         noise_floor: noise_floor(problem, &model, noise.map_or(0.01, |n| n.1)).min(held_out.rmse(1)),
-        repaired: repaired.as_ref().map(|g| g.problem.clone()),
+        problem: problem.clone(),
         r2,
         position_deg: [position_error_deg(problem, &baseline), position_error_deg(problem, &model)],
         baseline,
@@ -541,11 +576,7 @@ fn linearise(
     keys: &[String],
     divisions: &[Fold],
 ) -> Step {
-    let mut free = base_free.to_vec();
-    for a in accepted {
-        free.extend(a.free.iter().copied());
-    }
-    free[0].scale = model.parameters.get(P::FreeSpeed);
+    let free = free_around(model, base_free, accepted);
     let mut columns = columns_of(&free);
     let mut scales = vec![1.0; columns.len()];
     let base: Vec<usize> = (0..columns.len()).collect();
@@ -603,6 +634,8 @@ fn linearise(
     }
     let designs = problem.design(model, &columns);
     let grams = Grams::new(&designs, 0, &scales, Some(keys), divisions.to_vec());
+    let misfit = grams.misfit_a_run();
+    let grams = grams.with_prior(priors_at(&free, model, misfit));
     Step { home: home.clone(), base, candidates, flexible, grams }
 }
 
@@ -735,7 +768,8 @@ fn best_start(
     }
     for start in starts {
         let (fitted, _) = refit(problem, start, &free, &[], 4);
-        let value = super::fit::objective(problem, &fitted, noise.0, noise.1) + super::fit::penalty(&free, &fitted, noise.0);
+        let misfit = super::fit::objective(problem, &fitted, noise.0, noise.1);
+        let value = misfit + super::fit::penalty(&free, &fitted, misfit / problem.runs.len() as f64);
         if best.as_ref().is_none_or(|b| value < b.0) {
             best = Some((value, fitted));
         }
@@ -831,6 +865,14 @@ fn amplitudes(model: &Model, accepted: &[Accepted]) -> Vec<f64> {
     out
 }
 
+/// What is free near `model`: the baseline's own parameters and the accepted effects'.
+fn free_around(model: &Model, base_free: &[Free], accepted: &[Accepted]) -> Vec<Free> {
+    let mut free = base_free.to_vec();
+    free[0].scale = model.parameters.get(P::FreeSpeed);
+    free.extend(accepted.iter().flat_map(|a| a.free.iter().copied()));
+    free
+}
+
 /// Normal equations of the accepted model: the set of common columns, and the phased pairs.
 fn local(
     problem: &Problem,
@@ -841,7 +883,9 @@ fn local(
     divisions: &[Fold],
 ) -> (Grams, Vec<usize>, Vec<[usize; 2]>) {
     let (designs, scales, set, pairs) = local_designs(problem, model, base_free, accepted);
-    (Grams::new(&designs, 0, &scales, Some(keys), divisions.to_vec()), set, pairs)
+    let grams = Grams::new(&designs, 0, &scales, Some(keys), divisions.to_vec());
+    let misfit = grams.misfit_a_run();
+    (grams.with_prior(priors_at(&free_around(model, base_free, accepted), model, misfit)), set, pairs)
 }
 
 fn local_designs(
@@ -850,11 +894,7 @@ fn local_designs(
     base_free: &[Free],
     accepted: &[Accepted],
 ) -> (Vec<RunDesign>, Vec<f64>, Vec<usize>, Vec<[usize; 2]>) {
-    let mut free = base_free.to_vec();
-    for a in accepted {
-        free.extend(a.free.iter().copied());
-    }
-    free[0].scale = model.parameters.get(P::FreeSpeed);
+    let free = free_around(model, base_free, accepted);
     let mut columns = columns_of(&free);
     let set: Vec<usize> = (0..columns.len()).collect();
     let mut scales = vec![1.0; columns.len()];
@@ -888,10 +928,15 @@ fn estimate(
     let mut out = Vec::new();
     let mut ok = true;
     if own.phased.is_empty() {
-        let (grams, set, _) = local(problem, model, base_free, accepted, keys, divisions);
-        let mut free = base_free.to_vec();
-        free.extend(accepted.iter().flat_map(|a| a.free.iter().copied()));
-        let (beta, cov) = grams.fit_all(&set, &priors_at(&free, model, grams.variance));
+        let free = free_around(model, base_free, accepted);
+        let columns = [columns_of(&free), discrepancy()].concat();
+        let scales = vec![1.0; columns.len()];
+        let grams = Grams::new(&problem.design(model, &columns), 0, &scales, Some(keys), divisions.to_vec());
+        let mut priors = priors_at(&free, model, grams.misfit_a_run());
+        let precision = grams.variance / (DISCREPANCY * DISCREPANCY);
+        priors.resize(columns.len(), Prior { precision, pull: 0.0, noise: grams.variance * precision });
+        let set: Vec<usize> = (0..free.len()).collect();
+        let (beta, cov) = grams.with_prior(priors).fit_all(&(0..columns.len()).collect::<Vec<_>>());
         let first = set.len() - own.free.len();
         let quantile = student_975(problem.runs.len().saturating_sub(set.len().min(problem.runs.len() - 1)).max(1));
         for reported in &effect.reported {
@@ -948,6 +993,49 @@ fn estimate(
         ok = any;
     }
     (out, ok)
+}
+
+/// Estimates of an effect without what the sampling adds to them: the same fit, repeated on data that the fitted model made,
+/// shows how far it lies from what made them.
+#[allow(clippy::too_many_arguments)]
+fn calibrated(
+    problem: &Problem,
+    fit: &Fitted,
+    effects: &[Effect],
+    base_free: &[Free],
+    keys: &[String],
+    divisions: &[Fold],
+    gain_spread: f64,
+    settings: &Settings,
+) -> Vec<Estimate> {
+    let effect = &effects[fit.own.effect];
+    let all = [fit.others.clone(), vec![fit.own.clone()]].concat();
+    let mut estimates = estimate(problem, &fit.model, base_free, &all, effect, &fit.own, &[], keys, divisions).0;
+    let mut free = base_free.to_vec();
+    free.extend(all.iter().flat_map(|a| a.free.iter().copied()));
+    free[0].scale = fit.model.parameters.get(P::FreeSpeed);
+    if let Some(bias) = bias(problem, &fit.model, &free, gain_spread, CALIBRATIONS, settings.seed) {
+        for e in &mut estimates {
+            let Some(reported) = effect.reported.iter().find(|r| r.name == e.name) else { continue };
+            let Some(k) = free.iter().rposition(|f| f.parameter == reported.parameter) else { continue };
+            let [shift, error] = bias[k].map(|b| b * reported.factor);
+            let half = (0.5 * (e.interval[1] - e.interval[0])).hypot(1.96 * error);
+            e.value -= shift;
+            e.interval = [e.value - half, e.value + half];
+        }
+    }
+    estimates
+}
+
+/// Data sets made to see what the sampling does to an estimate.
+const CALIBRATIONS: usize = 12;
+
+/// How much of the free speed the rotor equation may miss in each of the first milliseconds after a switching (standard
+/// deviation): the wave's build-up of a quarter of a millisecond and the softness of the contact are not in it.
+const DISCREPANCY: f64 = 0.1;
+
+fn discrepancy() -> Vec<Column> {
+    [true, false].into_iter().flat_map(|rise| (0..3).map(move |k| Column::Flexible(Basis::AfterSwitching(rise, k)))).collect()
 }
 
 /// 97.5 % quantile of Student's t.
@@ -1020,8 +1108,13 @@ fn noise_floor(problem: &Problem, model: &Model, gain_spread: f64) -> f64 {
 fn position_error_deg(problem: &Problem, model: &Model) -> f64 {
     let (mut sum, mut seconds) = (0.0, 0.0);
     for (run, r) in problem.runs.iter().zip(problem.residuals(model)) {
-        let mut error = 0.0;
+        let (mut error, mut at) = (0.0, 0);
         for (k, w) in run.windows.iter().enumerate() {
+            // Stretches overlap: from one to the next that begins where it ends.
+            if w.from < at {
+                continue;
+            }
+            at = w.to;
             let dt = run.duration(w);
             error += r.rpm[k] * dt * 6.0;
             sum += error * error * dt;

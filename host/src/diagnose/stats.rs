@@ -42,6 +42,17 @@ struct RunGram {
     rows: usize,
 }
 
+/// What is known of a column's coefficient before the data.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Prior {
+    /// Precision, in the weight of the squared residuals.
+    pub precision: f64,
+    /// Gradient towards what is known.
+    pub pull: f64,
+    /// How uncertain that gradient is (variance).
+    pub noise: f64,
+}
+
 /// Normal equations of all runs.
 #[derive(Debug, Clone)]
 pub struct Grams {
@@ -54,6 +65,8 @@ pub struct Grams {
     pub gain_spread: f64,
     /// Prior precision of each column, in units of the column, times the residual variance.
     ridge: Vec<f64>,
+    /// What else is known of the columns; none of those beyond the list.
+    prior: Vec<Prior>,
     folds: Vec<Fold>,
 }
 
@@ -266,7 +279,7 @@ impl Grams {
             run.gamma = t / (variance + t * gg);
         }
         let ridge = scales.iter().map(|s| variance / (s * s)).collect();
-        Self { columns, gain_column, runs, variance, gain_spread, ridge, folds }
+        Self { columns, gain_column, runs, variance, gain_spread, ridge, prior: Vec::new(), folds }
     }
 
     /// The same equations under a stated noise: variance of a weighted residual and relative spread of the run gains.
@@ -287,6 +300,11 @@ impl Grams {
     /// The divisions and the coefficients of `set` fitted in each.
     pub fn fold_fits(&self, set: &[usize]) -> Vec<(Fold, DVector<f64>)> {
         self.folds.iter().map(|f| (f.clone(), self.fit(&f.train, set))).collect()
+    }
+
+    /// Squared residual of a mean run, in rpm²·s.
+    pub fn misfit_a_run(&self) -> f64 {
+        self.runs.iter().map(|r| r.yy).sum::<f64>() / self.runs.len().max(1) as f64
     }
 
     /// Effective number of rows.
@@ -319,34 +337,37 @@ impl Grams {
         DMatrix::from_fn(set.len(), set.len(), |i, j| runs.iter().map(|r| self.g(*r, set[i], set[j])).sum())
     }
 
-    fn inverse(&self, runs: &[usize], set: &[usize]) -> DMatrix<f64> {
-        self.inverse_with(runs, set, &[])
+    /// The same equations with what is known of the first columns.
+    pub fn with_prior(mut self, prior: Vec<Prior>) -> Self {
+        self.prior = prior;
+        self
     }
 
-    fn inverse_with(&self, runs: &[usize], set: &[usize], prior: &[[f64; 2]]) -> DMatrix<f64> {
+    fn known(&self, column: usize) -> Prior {
+        self.prior.get(column).copied().unwrap_or_default()
+    }
+
+    fn inverse(&self, runs: &[usize], set: &[usize]) -> DMatrix<f64> {
         let mut m = self.matrix(runs, set);
         for i in 0..set.len() {
-            m[(i, i)] += self.ridge[set[i]] + 1e-12 * m[(i, i)].abs() + 1e-300;
-            m[(i, i)] += prior.get(i).map_or(0.0, |p| p[0]);
+            m[(i, i)] += self.ridge[set[i]] + self.known(set[i]).precision + 1e-12 * m[(i, i)].abs() + 1e-300;
         }
         m.try_inverse().unwrap_or_else(|| DMatrix::zeros(set.len(), set.len()))
     }
 
     /// Coefficients of `set` fitted on `runs`.
     pub fn fit(&self, runs: &[usize], set: &[usize]) -> DVector<f64> {
-        let b = DVector::from_fn(set.len(), |i, _| runs.iter().map(|r| self.b(*r, &self.runs[*r].b, set[i])).sum());
+        let b = DVector::from_fn(set.len(), |i, _| {
+            runs.iter().map(|r| self.b(*r, &self.runs[*r].b, set[i])).sum::<f64>() + self.known(set[i]).pull
+        });
         self.inverse(runs, set) * b
     }
 
-    /// Coefficients of `set` on all runs with their cluster-robust covariance (runs are the clusters). `prior` holds precision and
-    /// pull of each of the first columns, times the residual variance.
-    pub fn fit_all(&self, set: &[usize], prior: &[[f64; 2]]) -> (DVector<f64>, DMatrix<f64>) {
+    /// Coefficients of `set` on all runs with their cluster-robust covariance (runs are the clusters).
+    pub fn fit_all(&self, set: &[usize]) -> (DVector<f64>, DMatrix<f64>) {
         let all: Vec<usize> = (0..self.runs.len()).collect();
-        let inverse = self.inverse_with(&all, set, prior);
-        let b = DVector::from_fn(set.len(), |i, _| {
-            all.iter().map(|r| self.b(*r, &self.runs[*r].b, set[i])).sum::<f64>() + prior.get(i).map_or(0.0, |p| p[1])
-        });
-        let beta = &inverse * b;
+        let beta = self.fit(&all, set);
+        let inverse = self.inverse(&all, set);
         let mut meat = DMatrix::zeros(set.len(), set.len());
         for r in 0..self.runs.len() {
             let score = DVector::from_fn(set.len(), |i, _| {
@@ -358,7 +379,11 @@ impl Grams {
         let n = self.runs.len() as f64;
         let k = set.len() as f64;
         let correction = if n > k + 1.0 { n / (n - k) } else { n.max(2.0) };
-        let cov = &inverse * meat * &inverse * correction;
+        // What the priors leave open is as unknown as what the runs scatter.
+        let believed = DMatrix::from_fn(set.len(), set.len(), |i, j| {
+            if i == j { self.known(set[i]).noise } else { 0.0 }
+        });
+        let cov = &inverse * (meat * correction + believed) * &inverse;
         (beta, cov)
     }
 
@@ -403,18 +428,21 @@ impl Grams {
     }
 
     /// Improvement on held-out runs with right-hand sides `b` (one a run).
-    fn improvement(&self, plan: &Plan, base: &Plan, b: &[Vec<f64>]) -> f64 {
+    fn improvement(&self, plan: &Plan, base: &Plan, b: &[Vec<f64>], pulled: bool) -> f64 {
         let mut total = 0.0;
         for (fold, base_fold) in plan.folds.iter().zip(&base.folds) {
             let rhs = |runs: &[usize], set: &[usize]| {
                 DVector::from_fn(set.len(), |i, _| runs.iter().map(|r| b[*r][set[i]]).sum())
             };
-            let beta_base = &base_fold.inverse * rhs(&base_fold.fold.train, &base.set);
+            let pull = |set: &[usize]| {
+                DVector::from_fn(set.len(), |i, _| if pulled { self.known(set[i]).pull } else { 0.0 })
+            };
+            let beta_base = &base_fold.inverse * (rhs(&base_fold.fold.train, &base.set) + pull(&base.set));
             if plan.pairs.is_empty() {
                 let loss = |beta: &DVector<f64>, f: &FoldPlan, set: &[usize]| {
                     -2.0 * beta.dot(&rhs(&f.fold.test, set)) + (&f.test_g * beta).dot(beta)
                 };
-                let beta = &fold.inverse * rhs(&fold.fold.train, &plan.set);
+                let beta = &fold.inverse * (rhs(&fold.fold.train, &plan.set) + pull(&plan.set));
                 total += loss(&beta_base, base_fold, &base.set) - loss(&beta, fold, &plan.set);
             } else {
                 for pair in &plan.pairs {
@@ -474,13 +502,13 @@ impl Grams {
         let base_plan = self.plan(base, &Group::Linear(Vec::new()));
         let plans: Vec<Plan> = groups.par_iter().map(|g| self.plan(base, g)).collect();
         let observed = self.observed_b();
-        let improvements: Vec<f64> = plans.par_iter().map(|p| self.improvement(p, &base_plan, &observed)).collect();
+        let improvements: Vec<f64> = plans.par_iter().map(|p| self.improvement(p, &base_plan, &observed, true)).collect();
         let null: Vec<f64> = (0..repetitions)
             .into_par_iter()
             .map(|k| {
                 let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_add(1 + k as u64));
                 let b = self.null_b(&mut rng);
-                plans.iter().map(|p| self.improvement(p, &base_plan, &b)).fold(0.0, f64::max)
+                plans.iter().map(|p| self.improvement(p, &base_plan, &b, false)).fold(0.0, f64::max)
             })
             .collect();
         (improvements, null)
@@ -517,8 +545,9 @@ impl Grams {
             let rhs = |runs: &[usize], set: &[usize]| {
                 DVector::from_fn(set.len(), |i, _| runs.iter().map(|r| b[*r][set[i]]).sum())
             };
-            let beta_base = &base_fold.inverse * rhs(&base_fold.fold.train, &base_plan.set);
-            let beta = &fold.inverse * rhs(&fold.fold.train, &plan.set);
+            let pull = |set: &[usize]| DVector::from_fn(set.len(), |i, _| self.known(set[i]).pull);
+            let beta_base = &base_fold.inverse * (rhs(&base_fold.fold.train, &base_plan.set) + pull(&base_plan.set));
+            let beta = &fold.inverse * (rhs(&fold.fold.train, &plan.set) + pull(&plan.set));
             let powers: Vec<f64> =
                 plan.pairs.iter().map(|pair| self.pair_power(pair, &beta_base, &fold.fold.train, &b)).collect();
             for &r in &fold.fold.test {
