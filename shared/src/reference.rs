@@ -259,6 +259,24 @@ mod tests {
         assert_eq!(path.at(1_500_000), Target { position: 60, rate: 50 });
     }
 
+    /// Fails when a way point is still under way at the instant at which it is reached (`<=` for `<` in `path`): one that
+    /// takes no time would then not be passed. Only a path that was not validated can jump there.
+    #[test]
+    fn a_way_point_that_takes_no_time_is_passed_at_once() {
+        let way_points = Vec::from_slice(&[
+            WayPoint { position: 7, duration_us: 0 },
+            WayPoint { position: 7, duration_us: 1_000 },
+            WayPoint { position: 9, duration_us: 0 },
+        ])
+        .unwrap();
+        let path = Reference::Path { start: 3, way_points };
+        assert_eq!(path.validate(), Err(ReferenceError::NoTime(0)));
+        let at = [0, 1, 999, 1_000, 1_001].map(|elapsed_us| path.at(elapsed_us).position);
+        assert_eq!(at, [7, 7, 7, 9, 9]);
+        let hold = Vec::from_slice(&[WayPoint { position: 3, duration_us: 0 }]).unwrap();
+        assert_eq!(Reference::Path { start: 3, way_points: hold }.validate(), Ok(()));
+    }
+
     #[test]
     fn step_and_ramp_end_where_they_say() {
         let step = Reference::Step { position: -7, at_us: 1000 };

@@ -458,6 +458,97 @@ mod tests {
         assert_eq!(state.integral, 0);
     }
 
+    /// Fails when a drive of exactly full counts as saturated (`>=` or `<=` for `>` or `<` in the anti-windup), and when
+    /// the drive of a tick that does not integrate holds that tick's error all the same.
+    #[test]
+    fn the_integral_waits_only_while_the_drive_is_beyond_full() {
+        let after = |ki_tick, target| {
+            let spec = ConfigSpec { kp: I32F32::lit("16"), ki_tick, ..ConfigSpec::DEFAULT };
+            let (config, mut state) = (Config::try_from(spec).unwrap(), State::REST);
+            let out = step(&config, &mut state, Inputs { target, target_rate: 0, position: 0 });
+            (state.integral, out.u, out.on_steps)
+        };
+        // 64 counts at 16 steps are the 1024 of full drive; 65 are 1040.
+        assert_eq!(after(I16F48::ZERO, 64), (64, 1_024 << 16, 1_024));
+        assert_eq!(after(I16F48::ZERO, -64), (-64, -1_024 << 16, 1_024));
+        assert_eq!(after(I16F48::ZERO, 65), (0, 1_040 << 16, 1_024));
+        assert_eq!(after(I16F48::ZERO, -65), (0, -1_040 << 16, 1_024));
+        // 61 counts are 976 steps, and with themselves in the integral 1037; 60 are 960 and 1020.
+        assert_eq!((after(I16F48::ONE, 61), after(I16F48::ONE, -61)), ((0, 976 << 16, 976), (0, -976 << 16, 976)));
+        assert_eq!(
+            (after(I16F48::ONE, 60), after(I16F48::ONE, -60)),
+            ((60, 1_020 << 16, 1_020), (-60, -1_020 << 16, 1_020))
+        );
+    }
+
+    /// Fails when the integral also waits for a saturation against the error, or for one without any error (`>=` for `>`,
+    /// `<=` for `<`, `||` for `&&`): a state from elsewhere, outside the limits, would then stay outside.
+    #[test]
+    fn the_integral_does_not_wait_for_a_saturation_that_is_not_the_errors() {
+        let config = Config::try_from(ConfigSpec::DEFAULT).unwrap();
+        let after = |integral, target, target_rate| {
+            let mut state = State { integral, ..State::REST };
+            let out = step(&config, &mut state, Inputs { target, target_rate, position: 0 });
+            (state.integral, out.on_steps)
+        };
+        // 1000 counts/s feed 4000 steps forward, nearly four times full drive; the 5 counts take back 350.
+        assert_eq!((after(0, -5, 1_000), after(0, 5, -1_000)), ((-5, 1_024), (5, 1_024)));
+        // The limits are 4000 count·ticks.
+        assert_eq!((after(9_000, 0, 1_000), after(-9_000, 0, -1_000)), ((4_000, 1_024), (-4_000, 1_024)));
+    }
+
+    /// Fails when halves are not rounded away from zero in both directions (`+` for `-`, another comparison with zero).
+    #[test]
+    fn halves_are_rounded_away_from_zero() {
+        // 2^-24 is 256 of 2^-32.
+        let cases = [(0, 0), (127, 0), (128, 1), (383, 1), (384, 2), (-127, 0), (-128, -1), (-383, -1), (-384, -2)];
+        for (q32, q24) in cases {
+            assert_eq!(rounded_q24(q32), q24, "{q32}");
+        }
+    }
+
+    /// Fails when the control signal saturates elsewhere than at what 16 bits of whole steps hold, or to the wrong side.
+    #[test]
+    fn the_control_signal_saturates_at_32768_steps() {
+        let steps = |steps: i64| steps << 24;
+        assert_eq!((q16(steps(1)), q16(steps(-1)), q16(255), q16(256), q16(-256)), (1 << 16, -1 << 16, 0, 1, -1));
+        assert_eq!((q16(steps(32_767)), q16(steps(32_768))), (32_767 << 16, i32::MAX));
+        assert_eq!((q16(steps(-32_768)), q16(steps(-32_769))), (i32::MIN, i32::MIN));
+        assert_eq!((q16(steps(32_768) - 1), q16(steps(1 << 30)), q16(steps(-1 << 30))), (i32::MAX, i32::MAX, i32::MIN));
+    }
+
+    /// Fails when a limit of the gains, or of the integral's product with its gain, is not where its message says.
+    #[test]
+    fn the_first_value_out_of_bounds_is_refused_and_the_last_inside_is_not() {
+        let with = |change: fn(&mut ConfigSpec)| {
+            let mut spec = ConfigSpec { ki_tick: I16F48::ZERO, ..ConfigSpec::THESIS };
+            change(&mut spec);
+            Config::try_from(spec).map(|_| ())
+        };
+        assert_eq!(with(|s| s.kp = I32F32::lit("-1024")), Err(ConfigError::Gain(GainName::Kp)));
+        assert_eq!(with(|s| s.kp = I32F32::lit("-1023.99")), Ok(()));
+        assert_eq!(with(|s| s.kp = I32F32::lit("1023.99")), Ok(()));
+        let limits = |s: &mut ConfigSpec| (s.integral_min, s.integral_max) = (0, 0);
+        assert_eq!(with(limits), Ok(()));
+        assert_eq!(with(|s| (s.integral_max, s.ki_tick) = (0, I16F48::lit("1023"))), Ok(()));
+        assert_eq!(with(|s| (s.integral_max, s.ki_tick) = (0, I16F48::lit("-1023"))), Ok(()));
+        assert_eq!(
+            with(|s| (s.integral_max, s.ki_tick) = (0, I16F48::lit("1024"))),
+            Err(ConfigError::Gain(GainName::Ki))
+        );
+        assert_eq!(
+            with(|s| (s.integral_max, s.ki_tick) = (0, I16F48::lit("-1024"))),
+            Err(ConfigError::Gain(GainName::Ki))
+        );
+        // One step a count·tick: 2^14 of them are 16384 duty steps.
+        assert_eq!(with(|s| (s.integral_max, s.ki_tick) = (16_383, I16F48::ONE)), Ok(()));
+        assert_eq!(with(|s| (s.integral_max, s.ki_tick) = (16_384, I16F48::ONE)), Err(ConfigError::IntegralLimits));
+        assert_eq!(with(|s| (s.integral_max, s.ki_tick) = (16_384, -I16F48::ONE)), Err(ConfigError::IntegralLimits));
+        assert_eq!(with(|s| (s.integral_min, s.integral_max, s.ki_tick) = (-16_383, 0, I16F48::ONE)), Ok(()));
+        let low = |s: &mut ConfigSpec| (s.integral_min, s.integral_max, s.ki_tick) = (-16_384, 0, I16F48::ONE);
+        assert_eq!(with(low), Err(ConfigError::IntegralLimits));
+    }
+
     #[test]
     fn specs_that_could_overflow_are_refused() {
         let with = |change: fn(&mut ConfigSpec)| {
