@@ -343,6 +343,10 @@ mod tests {
         }
     }
 
+    /// Runs and their ticks; an interpreter (Miri) has a share of them.
+    const SEEDS: u64 = if cfg!(miri) { 1 } else { 8 };
+    const TICKS: u32 = if cfg!(miri) { 2_000 } else { 100_000 };
+
     /// Differing ticks of a run, and the largest difference in PWM steps.
     fn differences(errors: impl Iterator<Item = i32>) -> (u32, u32, i64) {
         let (config, mut state, mut doubles) = (thesis(), State::REST, Doubles::default());
@@ -359,13 +363,12 @@ mod tests {
     }
 
     #[test]
-    #[cfg_attr(miri, ignore = "too long for an interpreter")]
     fn thesis_gives_the_doubles_pwm_in_random_runs() {
-        for seed in 0..8 {
+        for seed in 0..SEEDS {
             let mut pcg = Pcg(seed);
             let mut error = 0;
             // A walk with rare jumps: what a tracking error looks like, with every saturation and sign in it.
-            let (ticks, different, largest) = differences((0..100_000).map(|_| {
+            let (ticks, different, largest) = differences((0..TICKS).map(|_| {
                 error = if pcg.next().is_multiple_of(500) {
                     pcg.within(-90, 90)
                 } else {
@@ -379,13 +382,12 @@ mod tests {
     }
 
     #[test]
-    #[cfg_attr(miri, ignore = "too long for an interpreter")]
     fn thesis_gives_the_doubles_pwm_where_truncation_ties() {
-        for seed in 0..8 {
+        for seed in 0..SEEDS {
             let mut pcg = Pcg(seed);
             // Multiples of ten, mostly negative so that the integral stays clamped at zero, held for a few ticks.
             let mut error = 0;
-            let (ticks, different, largest) = differences((0..100_000).map(|tick| {
+            let (ticks, different, largest) = differences((0..TICKS).map(|tick| {
                 if tick % 4 == 0 {
                     error = 10 * pcg.within(-3, 1);
                 }
@@ -452,7 +454,7 @@ mod tests {
     fn default_does_not_wind_up_while_saturated() {
         let config = Config::try_from(ConfigSpec::DEFAULT).unwrap();
         let mut state = State::REST;
-        for _ in 0..10_000 {
+        for _ in 0..if cfg!(miri) { 100 } else { 10_000 } {
             step(&config, &mut state, Inputs { target: 1000, target_rate: 0, position: 0 });
         }
         assert_eq!(state.integral, 0);
@@ -495,6 +497,26 @@ mod tests {
         assert_eq!((after(0, -5, 1_000), after(0, 5, -1_000)), ((-5, 1_024), (5, 1_024)));
         // The limits are 4000 count·ticks.
         assert_eq!((after(9_000, 0, 1_000), after(-9_000, 0, -1_000)), ((4_000, 1_024), (-4_000, 1_024)));
+    }
+
+    /// Fails when the rounding law cuts its fractions off (without its half step) or the truncating law does not cut the
+    /// high time, which leaves a step on (without its two steps less the last bit).
+    #[test]
+    fn one_law_rounds_the_on_time_and_the_other_cuts_the_high_time() {
+        let on = |law, target| {
+            let (kp, ki_tick, kd_tick) = (I32F32::lit("0.25"), I16F48::ZERO, I32F32::ZERO);
+            let config = Config::try_from(ConfigSpec { kp, ki_tick, kd_tick, law, ..ConfigSpec::THESIS }).unwrap();
+            step(&config, &mut State::REST.clone(), Inputs { target, target_rate: 0, position: 0 }).on_steps
+        };
+        // Quarters of a step: 0, 0.25, 0.5, 0.75, 1, 1.25, 1.5.
+        assert_eq!([0, 1, 2, 3, 4, 5, 6].map(|target| on(DriveLaw::OnTimeRounded, target)), [0, 0, 1, 1, 1, 1, 2]);
+        // High times of 31, 30.75, 30.5, 30.25, 30, 29.75 and 29.5 steps, cut to 31, 30, 30, 30, 30, 29 and 29 of 32.
+        assert_eq!([0, 1, 2, 3, 4, 5, 6].map(|target| on(DriveLaw::ActiveLowTruncated, target)), [1, 2, 2, 2, 2, 3, 3]);
+        for target in 0..200 {
+            for law in [DriveLaw::OnTimeRounded, DriveLaw::ActiveLowTruncated] {
+                assert_eq!(on(law, -target), on(law, target), "both directions alike");
+            }
+        }
     }
 
     /// Fails when halves are not rounded away from zero in both directions (`+` for `-`, another comparison with zero).
