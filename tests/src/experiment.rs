@@ -46,6 +46,11 @@ impl Design {
         }
     }
 
+    /// The small experiment at two PWM frequencies: a dead zone loses the same duty at both, a delay the same time.
+    pub fn two_frequencies() -> Self {
+        Self { trials: 2, pwm_hz: vec![PWM_HZ, 2.0 * PWM_HZ], ..Self::small() }
+    }
+
     /// The thesis's experiment in both directions: 11 duties, 5 trials of 5 s.
     pub fn thesis() -> Self {
         Self {

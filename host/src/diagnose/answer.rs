@@ -148,13 +148,16 @@ impl Diagnosis {
     pub fn new(outcome: &Outcome, replicated: bool, notes: Vec<String>, seed: u64) -> Self {
         let mut findings = outcome.findings.clone();
         let explained = explained_gain(outcome);
-        // A named cause must not leave behind, unexplained, a good part of what it claims to explain.
+        // A named cause must not leave behind, unexplained, a good part of the squared error it claims to explain.
         let left = outcome.unknown.iter().map(|u| u.gain).fold(0.0, f64::max);
-        // Where much is explained, little of it is left by the difference of forms alone; where nothing is, the least gain counts.
+        let [before, after] = [0, 1].map(|k| outcome.held_out.rmse(k).powi(2));
+        let missed = after * (1.0 - (1.0 - left).powi(2)) / (before - after).max(1e-12);
         let something = findings.iter().any(|f| f.status != Status::Rejected);
-        let tolerated =
-            if something { super::search::LACK_OF_FIT * explained.max(0.0) } else { super::search::LEAST_GAIN };
-        let lack = left >= tolerated;
+        let lack = if something {
+            missed >= super::search::LACK_OF_FIT
+        } else {
+            left >= super::search::LEAST_GAIN
+        };
         if lack && explained > 0.0 {
             // What was found in the controller or in the record itself does not hang on the plant's fit.
             let plant = |f: &&mut Finding| {

@@ -101,14 +101,14 @@ pub fn refit(
     phased: &[Phased],
     iterations: usize,
 ) -> (Model, Vec<PhasedFit>) {
-    let mut fits = Vec::new();
-    let rounds = if phased.is_empty() { 1 } else { 2 };
+    let mut fits: Vec<PhasedFit> = Vec::new();
+    let rounds = if phased.is_empty() { 1 } else { 3 };
+    let zero = vec![[0.0; 2]; problem.runs.len()];
+    for p in phased {
+        p.store(&mut model, &zero);
+    }
     for _ in 0..rounds {
         if !phased.is_empty() {
-            let zero = vec![[0.0; 2]; problem.runs.len()];
-            for p in phased {
-                p.store(&mut model, &zero);
-            }
             let mut columns = columns_of(free);
             let mut scales: Vec<f64> = vec![1.0; free.len()];
             let mut pairs = Vec::new();
@@ -118,7 +118,15 @@ pub fn refit(
                 columns.extend(p.columns());
                 scales.extend([PHASED_SCALE; 2]);
             }
-            let designs = problem.design(&model, &columns);
+            let mut designs = problem.design(&model, &columns);
+            // Around what the last round found, the whole of it is fitted again: a strong effect is not linear from zero.
+            for (fit, pair) in fits.iter().zip(&pairs) {
+                for (design, c) in designs.iter_mut().zip(&fit.coefficients) {
+                    for (y, x) in design.y.iter_mut().zip(design.x.chunks_exact(design.columns)) {
+                        *y += x[pair[0]] * c[0] + x[pair[1]] * c[1];
+                    }
+                }
+            }
             let grams = Grams::new(&designs, 0, &scales, Some(&[]), vec![everything(problem.runs.len())]);
             let base: Vec<usize> = (0..free.len()).collect();
             fits = grams.fit_phased(&base, &pairs);
@@ -168,6 +176,21 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
         }
     }
     model
+}
+
+/// How much more squared error `model` leaves than it would leave on data of its own making, sampled like the measured ones: 1 if
+/// nothing is left but the sampling. `None` unless every run was sampled.
+pub fn misfit(problem: &Problem, model: &Model, variance: f64, spread: f64, repetitions: usize, seed: u64) -> Option<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let a_second = |p: &Problem| {
+        let seconds: f64 = p.runs.iter().map(super::observe::Observed::compared_s).sum();
+        objective(p, model, variance, spread) / seconds.max(1e-9)
+    };
+    let mut floor = 0.0;
+    for _ in 0..repetitions {
+        floor += a_second(&problem.remade(model, spread, &mut rng)?) / repetitions as f64;
+    }
+    Some(a_second(problem) / floor.max(1e-12))
 }
 
 /// How far the fit of `free` lies from what made the data, on average over `repetitions` data sets made by `model` itself and

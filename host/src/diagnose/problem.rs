@@ -45,6 +45,8 @@ pub enum Column {
         /// Shape parameters set before.
         shape: Vec<(P, f64)>,
     },
+    /// The delay of the record behind the drive, by a hundredth of a second, in hat `k` of `n` over time.
+    Lag(usize, usize),
     /// A coefficient of [`RunTerms::runout`].
     Runout(usize),
     /// A coefficient of [`RunTerms::eccentricity`].
@@ -70,6 +72,8 @@ pub enum Basis {
     Order(usize, usize),
     /// Hat `k` of `n` over the phase in the PWM period (cyclic).
     Phase(usize, usize),
+    /// The sign of the slot a window begins with, where it ends with one of the other kind.
+    Slot,
     /// `cos` (even) or `sin` (odd) of harmonic `k/2 + 1` of the measured angle.
     Angle(usize),
     /// The free speed, in millisecond `k` after each rise of the drive or (`false`) each fall: what the rotor equation leaves out of
@@ -120,9 +124,10 @@ impl Problem {
     }
 
     /// The same experiment as `model` would have made it: sampled at the same times, each run with its own speed (relative spread
-    /// `gain_spread`) and its own place on the wheel. `None` unless every run was sampled.
+    /// `gain_spread`) and its own place on the wheel. `None` unless every run was sampled, and where the model hangs on the measured angle.
     pub fn remade(&self, model: &Model, gain_spread: f64, rng: &mut impl Rng) -> Option<Self> {
-        if !self.runs.iter().all(|r| r.kind == RunKind::Speed && r.pitch > 0.0 && r.half_sample_s() > 0.0) {
+        let sampled = |r: &Observed| r.kind == RunKind::Speed && r.pitch > 0.0 && r.half_sample_s() > 0.0;
+        if !self.runs.iter().all(sampled) || model.terms.iter().any(|t| *t != RunTerms::default()) {
             return None;
         }
         let warmth = self.warmth(&model.parameters);
@@ -143,29 +148,12 @@ impl Problem {
         let (start, period) = (run.times[0], 2.0 * run.half_sample_s());
         let times: Vec<f64> =
             (0..((run.record_end - start) / period) as usize + 1).map(|k| start + k as f64 * period).collect();
-        let mut before = 0;
-        let measured: Vec<f64> = times
-            .iter()
-            .map(|t| {
-                while before + 2 < run.times.len() && run.times[before + 1] <= *t {
-                    before += 1;
-                }
-                let (a, b) = (run.times[before], run.times[(before + 1).min(run.times.len() - 1)]);
-                let share = if b > a { ((t - a) / (b - a)).clamp(0.0, 1.0) } else { 0.0 };
-                run.angles[before] + share * (run.angles[(before + 1).min(run.angles.len() - 1)] - run.angles[before])
-            })
-            .collect();
         let parameters = model.parameters.with(P::FreeSpeed, gain * model.parameters.get(P::FreeSpeed));
-        let terms = &model.terms[i];
-        let input = RunInput { times: &times, half_sample_s: 0.0, angles: &measured, ..self.input(i, warmth) };
+        let input = RunInput { times: &times, half_sample_s: 0.0, angles: &[], ..self.input(i, warmth) };
         let mut angle = Vec::with_capacity(times.len());
-        simulate(&input, &parameters, terms, &mut angle, &mut Vec::new());
+        simulate(&input, &parameters, &model.terms[i], &mut angle, &mut Vec::new());
         let high = 0.5 * (1.0 + parameters.get(P::EdgeOffset));
-        let level = |k: usize| {
-            let (sin, cos) = measured[k].sin_cos();
-            let read = angle[k] + terms.eccentricity[0] * cos + terms.eccentricity[1] * sin;
-            (read / (2.0 * run.pitch) + place).rem_euclid(1.0) < high
-        };
+        let level = |k: usize| (angle[k] / (2.0 * run.pitch) + place).rem_euclid(1.0) < high;
         let mut edges = Vec::with_capacity(run.times.len());
         for k in 1..times.len() {
             if level(k) != level(k - 1) {
@@ -344,6 +332,16 @@ impl Problem {
                                 }
                             }
                         }
+                        Column::Lag(j, n) => {
+                            let step = 5e-4;
+                            let later = p.with(P::Latency, p.get(P::Latency) + step);
+                            let moved = self.run_residual(i, &later, &model.terms[i], warmth[i]);
+                            put(&|k| {
+                                let w = &run.windows[k];
+                                let t = 0.5 * (run.times[w.from] + run.times[w.to]);
+                                (now.rpm[k] - moved.rpm[k]) / step * 1e-2 * hat(*j, *n, t / longest)
+                            });
+                        }
                         Column::Runout(h) | Column::Eccentricity(h) | Column::Gravity(h) => {
                             let mut terms = model.terms[i];
                             let step = match column {
@@ -375,10 +373,10 @@ impl Problem {
                                     Basis::Direction => run.direction,
                                     Basis::DutyDirection(j, n) => run.direction * hat(j, n, run.duty.unwrap_or(0.5)),
                                     Basis::Order(j, n) => hat(j, n, rank[i]),
-                                    Basis::Phase(j, n) => {
-                                        let x = (t / period).rem_euclid(1.0) * n as f64 - j as f64;
-                                        let d = x.rem_euclid(n as f64);
-                                        (1.0 - d.min(n as f64 - d)).max(0.0)
+                                    Basis::Phase(j, n) => cyclic_hat(j, n, t / period),
+                                    Basis::Slot => {
+                                        let slots = f64::from(run.level[w.from] - run.level[w.to]);
+                                        return run.direction * 0.5 * slots * run.pitch / run.duration(w).max(1e-6) * RPM;
                                     }
                                     Basis::Angle(j) => {
                                         let h = (j / 2 + 1) as f64 * theta;
@@ -423,6 +421,12 @@ struct ShapedColumn {
 fn hat(j: usize, n: usize, x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0) * (n - 1) as f64;
     (1.0 - (x - j as f64).abs()).max(0.0)
+}
+
+/// Piecewise linear basis function `j` of `n` over the fraction of a period.
+fn cyclic_hat(j: usize, n: usize, periods: f64) -> f64 {
+    let d = (periods.rem_euclid(1.0) * n as f64 - j as f64).rem_euclid(n as f64);
+    (1.0 - d.min(n as f64 - d)).max(0.0)
 }
 
 /// Weighted residuals and derivatives of one run.

@@ -11,12 +11,16 @@ use nalgebra::DVector;
 pub const LEAST_GAIN: f64 = 0.05;
 /// Largest p-value of a named cause.
 pub const LARGEST_P: f64 = 0.01;
-/// Share of an accepted gain that a term without physics may still find before the cause is no longer believed.
-pub const LACK_OF_FIT: f64 = 0.3;
+/// Share of the squared error a cause removes that a term without physics may still find before the cause is no longer believed:
+/// real effects do not have the library's forms, and a strong one leaves the difference in sight.
+pub const LACK_OF_FIT: f64 = 0.12;
 /// A rival that the library lists as a conflict and that gains this share of the winner's gain stays in the set, however
 /// narrow the interval of the difference: real effects do not have the library's forms, and the nearer form need not be the
 /// cause.
 const SAME_FOR_A_CONFLICT: f64 = 0.85;
+/// How much more squared error than the sampling leaves may stay with nothing to blame: the reduced rotor equation itself leaves up
+/// to 1.3 times as much.
+const LARGEST_MISFIT: f64 = 1.6;
 /// Most effects that are added.
 const MOST_EFFECTS: usize = 4;
 
@@ -483,6 +487,15 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
             }
         }
         unknown.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        // Where no cause is found and no term without physics catches it, the sampling still says how much too much is left.
+        if accepted.is_empty() {
+            let (variance, spread) = (step.grams.variance, step.grams.gain_spread);
+            let misfit = super::fit::misfit(problem, &model, variance, spread, 8, settings.seed).unwrap_or(1.0);
+            if misfit > LARGEST_MISFIT {
+                let gain = 1.0 - (1.0 / misfit).sqrt();
+                unknown.push(Unknown { lives_in: "no one place", gain, p_null: 1.0 / 9.0 });
+            }
+        }
     }
 
     let base_held = held_out_at(&original, &unrepaired, &base_free, &[], &keys, &divisions, noise);
@@ -622,6 +635,13 @@ fn linearise(
         }
         if problem.runs.iter().any(|r| r.duty.is_some_and(|d| d < 1.0)) {
             linear("PWM phase", (0..8).map(|j| Basis::Phase(j, 8)).collect());
+        }
+        if problem.runs.iter().any(|r| r.level.iter().any(|l| *l != 0)) {
+            linear("encoder slots", vec![Basis::Slot]);
+        }
+        if problem.runs.iter().any(|r| r.duty.is_some_and(|d| d < 1.0)) {
+            let k = (0..6).map(|j| add(Column::Lag(j, 6), 1.0)).collect();
+            flexible.push(("timing against the PWM", Group::Linear(k)));
         }
         if problem.runs.iter().any(|r| r.revolutions() > 0.6) {
             for (name, from) in [("angle", 0), ("angle, three and more times a turn", 2)] {
