@@ -153,11 +153,7 @@ impl Diagnosis {
         let [before, after] = [0, 1].map(|k| outcome.held_out.rmse(k).powi(2));
         let missed = after * (1.0 - (1.0 - left).powi(2)) / (before - after).max(1e-12);
         let something = findings.iter().any(|f| f.status != Status::Rejected);
-        let lack = if something {
-            missed >= super::search::LACK_OF_FIT
-        } else {
-            left >= super::search::LEAST_GAIN
-        };
+        let lack = if something { missed >= super::search::LACK_OF_FIT } else { left >= super::search::LEAST_GAIN };
         if lack && explained > 0.0 {
             // What was found in the controller or in the record itself does not hang on the plant's fit.
             let plant = |f: &&mut Finding| {

@@ -159,7 +159,8 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
         for _ in 0..5 {
             let mut trial = model.clone();
             for (f, s) in free.iter().zip(step.iter()) {
-                let value = moved(f.parameter, trial.parameters.get(f.parameter), factor * s.clamp(-3.0, 3.0) * f.scale);
+                let value =
+                    moved(f.parameter, trial.parameters.get(f.parameter), factor * s.clamp(-3.0, 3.0) * f.scale);
                 trial.parameters.set(f.parameter, value.clamp(f.bounds.0, f.bounds.1));
             }
             let after = target(&trial);
@@ -180,7 +181,14 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
 
 /// How much more squared error `model` leaves than it would leave on data of its own making, sampled like the measured ones: 1 if
 /// nothing is left but the sampling. `None` unless every run was sampled.
-pub fn misfit(problem: &Problem, model: &Model, variance: f64, spread: f64, repetitions: usize, seed: u64) -> Option<f64> {
+pub fn misfit(
+    problem: &Problem,
+    model: &Model,
+    variance: f64,
+    spread: f64,
+    repetitions: usize,
+    seed: u64,
+) -> Option<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let a_second = |p: &Problem| {
         let seconds: f64 = p.runs.iter().map(super::observe::Observed::compared_s).sum();

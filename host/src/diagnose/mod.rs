@@ -212,10 +212,7 @@ pub fn diagnose(
         outcome.findings.splice(0..0, parity.findings);
     }
     let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
-    Ok((
-        diagnosis,
-        Some(Details::Runs { problem: outcome.problem.clone(), outcome: Box::new(outcome) }),
-    ))
+    Ok((diagnosis, Some(Details::Runs { problem: outcome.problem.clone(), outcome: Box::new(outcome) })))
 }
 
 /// A rotor to start the refit from: the motor's friction, the free speed the data show.
@@ -231,7 +228,8 @@ pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
     // u·Fext·R0/Jr, Ctheta/Jr and 2·Ms/Cs of the 30 mm PCBMotor (thesis, A.4) where no motor is given.
     let [drive, brake, viscous] = options.motor.as_ref().map_or([1888.0, 1888.0, 0.261], motor::rates);
     let wave_time_s = options.motor.as_ref().map_or(2.28e-4, motor::wave_time_s);
-    Parameters::new(free, drive, if options.coasting { 0.0 } else { brake }, viscous, 0.02).with(P::WaveTime, wave_time_s)
+    Parameters::new(free, drive, if options.coasting { 0.0 } else { brake }, viscous, 0.02)
+        .with(P::WaveTime, wave_time_s)
 }
 
 /// Metadata that contradict the record.

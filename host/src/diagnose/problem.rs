@@ -376,7 +376,8 @@ impl Problem {
                                     Basis::Phase(j, n) => cyclic_hat(j, n, t / period),
                                     Basis::Slot => {
                                         let slots = f64::from(run.level[w.from] - run.level[w.to]);
-                                        return run.direction * 0.5 * slots * run.pitch / run.duration(w).max(1e-6) * RPM;
+                                        return run.direction * 0.5 * slots * run.pitch / run.duration(w).max(1e-6)
+                                            * RPM;
                                     }
                                     Basis::Angle(j) => {
                                         let h = (j / 2 + 1) as f64 * theta;

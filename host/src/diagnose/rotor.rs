@@ -313,88 +313,86 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     let directions = &input.schedule.directions;
 
     // Advances to `until` with the drive on or off, answering queries on the way.
-    let mut advance =
-        |state: &mut State, until: f64, on: bool, brake: f64, warmth: f64, next: &mut usize| {
-            while state.t < until - 1e-12 && *next < count {
-                while direction_index + 1 < directions.len() && directions[direction_index + 1].0 <= state.t + 1e-12 {
-                    direction_index += 1;
+    let mut advance = |state: &mut State, until: f64, on: bool, brake: f64, warmth: f64, next: &mut usize| {
+        while state.t < until - 1e-12 && *next < count {
+            while direction_index + 1 < directions.len() && directions[direction_index + 1].0 <= state.t + 1e-12 {
+                direction_index += 1;
+            }
+            let sign = directions.get(direction_index).map_or(1.0, |d| d.1);
+            let mut end = until.min(state.t + step_limit);
+            if let Some(d) = directions.get(direction_index + 1) {
+                end = end.min(d.0);
+            }
+            let mut external = -viscous * state.speed;
+            let mut modulation = 0.0;
+            if has_angle {
+                let now = state.t * clock + latency;
+                while measured + 1 < input.times.len() && input.times[measured + 1] <= now {
+                    measured += 1;
                 }
-                let sign = directions.get(direction_index).map_or(1.0, |d| d.1);
-                let mut end = until.min(state.t + step_limit);
-                if let Some(d) = directions.get(direction_index + 1) {
-                    end = end.min(d.0);
-                }
-                let mut external = -viscous * state.speed;
-                let mut modulation = 0.0;
-                if has_angle {
-                    let now = state.t * clock + latency;
-                    while measured + 1 < input.times.len() && input.times[measured + 1] <= now {
-                        measured += 1;
-                    }
-                    let theta = input.angles[measured];
-                    let (s, c) = theta.sin_cos();
-                    modulation = terms.runout[0] * c
-                        + terms.runout[1] * s
-                        + terms.runout[2] * (c * c - s * s)
-                        + terms.runout[3] * 2.0 * s * c;
-                    external += terms.gravity[0] * c + terms.gravity[1] * s;
-                }
-                if stribeck != 0.0 {
-                    let x = state.speed / stribeck_speed;
-                    let sense = if state.speed != 0.0 { state.speed.signum() } else { sign };
-                    let grip = stribeck * (-x * x).exp();
-                    external -= if on || state.speed != 0.0 { sense * grip } else { 0.0 };
-                }
-                let brake = brake * (1.0 + sign * p.get(P::AsymBrake)).max(0.0);
-                let mut target = 0.0;
-                let mut acceleration = on_acceleration;
-                if on {
-                    let mut gain =
-                        1.0 - heat_loss * warmth + sign * p.get(P::AsymSpeed) + modulation + wear;
-                    if wear_slope != 0.0 {
-                        let revs = input.revolutions + state.angle.abs() / std::f64::consts::TAU;
-                        gain += wear_slope * ((1.0 + revs / wear_r0) / (1.0 + input.revolutions / wear_r0)).ln();
-                    }
-                    if sag != 0.0 {
-                        let middle = 1.0 - (1.0 - sagged) * (-0.5 * (end - state.t) / sag_time).exp();
-                        gain -= sag * middle;
-                    }
-                    if settle != 0.0 {
-                        let middle = 0.5 * (state.t + end);
-                        gain += settle * (-middle / settle_tau).exp();
-                    }
-                    target = sign * free_speed * gain.max(0.0);
-                    acceleration *= (1.0 + modulation).max(0.01);
+                let theta = input.angles[measured];
+                let (s, c) = theta.sin_cos();
+                modulation = terms.runout[0] * c
+                    + terms.runout[1] * s
+                    + terms.runout[2] * (c * c - s * s)
+                    + terms.runout[3] * 2.0 * s * c;
+                external += terms.gravity[0] * c + terms.gravity[1] * s;
+            }
+            if stribeck != 0.0 {
+                let x = state.speed / stribeck_speed;
+                let sense = if state.speed != 0.0 { state.speed.signum() } else { sign };
+                let grip = stribeck * (-x * x).exp();
+                external -= if on || state.speed != 0.0 { sense * grip } else { 0.0 };
+            }
+            let brake = brake * (1.0 + sign * p.get(P::AsymBrake)).max(0.0);
+            let mut target = 0.0;
+            let mut acceleration = on_acceleration;
+            if on {
+                let mut gain = 1.0 - heat_loss * warmth + sign * p.get(P::AsymSpeed) + modulation + wear;
+                if wear_slope != 0.0 {
+                    let revs = input.revolutions + state.angle.abs() / std::f64::consts::TAU;
+                    gain += wear_slope * ((1.0 + revs / wear_r0) / (1.0 + input.revolutions / wear_r0)).ln();
                 }
                 if sag != 0.0 {
-                    let drive = if on { 1.0 } else { 0.0 };
-                    sagged = drive + (sagged - drive) * (-(end - state.t) / sag_time).exp();
+                    let middle = 1.0 - (1.0 - sagged) * (-0.5 * (end - state.t) / sag_time).exp();
+                    gain -= sag * middle;
                 }
-                let band = (band_fraction * target.abs()).max(1e-6);
-                while state.t < end - 1e-12 && *next < count {
-                    let piece = if on {
-                        on_piece(state.speed, target, acceleration, band, external)
-                    } else {
-                        off_piece(state.speed, brake, external)
-                    };
-                    let stop = (state.t + piece.duration.max(1e-9)).min(end);
-                    while *next < count {
-                        let tq = true_time(*next);
-                        if tq > stop {
-                            break;
-                        }
-                        let (a, w) = piece.at(state.speed, (tq - state.t).max(0.0));
-                        angle.push(state.angle + a);
-                        speed.push(w);
-                        *next += 1;
-                    }
-                    let (a, w) = piece.at(state.speed, stop - state.t);
-                    state.angle += a;
-                    state.speed = w;
-                    state.t = stop;
+                if settle != 0.0 {
+                    let middle = 0.5 * (state.t + end);
+                    gain += settle * (-middle / settle_tau).exp();
                 }
+                target = sign * free_speed * gain.max(0.0);
+                acceleration *= (1.0 + modulation).max(0.01);
             }
-        };
+            if sag != 0.0 {
+                let drive = if on { 1.0 } else { 0.0 };
+                sagged = drive + (sagged - drive) * (-(end - state.t) / sag_time).exp();
+            }
+            let band = (band_fraction * target.abs()).max(1e-6);
+            while state.t < end - 1e-12 && *next < count {
+                let piece = if on {
+                    on_piece(state.speed, target, acceleration, band, external)
+                } else {
+                    off_piece(state.speed, brake, external)
+                };
+                let stop = (state.t + piece.duration.max(1e-9)).min(end);
+                while *next < count {
+                    let tq = true_time(*next);
+                    if tq > stop {
+                        break;
+                    }
+                    let (a, w) = piece.at(state.speed, (tq - state.t).max(0.0));
+                    angle.push(state.angle + a);
+                    speed.push(w);
+                    *next += 1;
+                }
+                let (a, w) = piece.at(state.speed, stop - state.t);
+                state.angle += a;
+                state.speed = w;
+                state.t = stop;
+            }
+        }
+    };
 
     for period in &input.schedule.periods {
         if period.start >= input.drive_end || next >= count {

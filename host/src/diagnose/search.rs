@@ -168,10 +168,14 @@ pub fn baseline_free(p: &Parameters, home: &Parameters, coasting: bool) -> Vec<F
         }
         Free { prior: Some((listed, RATE_LOG_SD)), ..free(parameter, scale, (0.02 * listed, 20.0 * listed)) }
     };
+    // Damping hardly shows in open loop: it is left where the file has it, give or take a factor of two.
+    let listed = home.get(P::Viscous);
+    let viscous =
+        Free { prior: (listed > 0.0).then_some((listed, 0.7)), ..free(P::Viscous, 1.0, (0.02 * listed, 50.0)) };
     let mut all = vec![
         free(P::FreeSpeed, w, (0.02 * w, 50.0 * w)),
         rate(P::OnAcceleration, a, 0.02 * a),
-        free(P::Viscous, 1.0, (0.0, 50.0)),
+        viscous,
         free(P::Latency, 2e-3, (-5e-3, 1e-2)),
     ];
     if !coasting {
@@ -710,7 +714,12 @@ fn try_candidate(
                     let value = beta[step.base.len() + k].clamp(-3.0, 3.0) * scale;
                     start.parameters.set(*parameter, value.clamp(bounds.0.min(0.0), bounds.1));
                     let scale = if *parameter == P::ClockError { 1e-3 } else { *scale };
-                    own.free.push(Free { parameter: *parameter, scale, bounds: (bounds.0.min(0.0), bounds.1), prior: None });
+                    own.free.push(Free {
+                        parameter: *parameter,
+                        scale,
+                        bounds: (bounds.0.min(0.0), bounds.1),
+                        prior: None,
+                    });
                 }
             }
             for (q, v) in &shape.pinned {
@@ -834,7 +843,10 @@ fn strip(model: &Model, effect: &Accepted) -> Model {
 }
 
 fn is_size(p: P) -> bool {
-    !matches!(p, P::HeatTau | P::HeatCarry | P::SettleTau | P::SagTime | P::QuantSteps | P::StribeckSpeed | P::WearRevolutions)
+    !matches!(
+        p,
+        P::HeatTau | P::HeatCarry | P::SettleTau | P::SagTime | P::QuantSteps | P::StribeckSpeed | P::WearRevolutions
+    )
 }
 
 /// Held-out errors at a fitted model: everything common is refitted without the runs that are scored.
@@ -1055,7 +1067,10 @@ const CALIBRATIONS: usize = 12;
 const DISCREPANCY: f64 = 0.1;
 
 fn discrepancy() -> Vec<Column> {
-    [true, false].into_iter().flat_map(|rise| (0..3).map(move |k| Column::Flexible(Basis::AfterSwitching(rise, k)))).collect()
+    [true, false]
+        .into_iter()
+        .flat_map(|rise| (0..3).map(move |k| Column::Flexible(Basis::AfterSwitching(rise, k))))
+        .collect()
 }
 
 /// 97.5 % quantile of Student's t.

@@ -380,9 +380,8 @@ impl Grams {
         let k = set.len() as f64;
         let correction = if n > k + 1.0 { n / (n - k) } else { n.max(2.0) };
         // What the priors leave open is as unknown as what the runs scatter.
-        let believed = DMatrix::from_fn(set.len(), set.len(), |i, j| {
-            if i == j { self.known(set[i]).noise } else { 0.0 }
-        });
+        let believed =
+            DMatrix::from_fn(set.len(), set.len(), |i, j| if i == j { self.known(set[i]).noise } else { 0.0 });
         let cov = &inverse * (meat * correction + believed) * &inverse;
         (beta, cov)
     }
@@ -434,9 +433,8 @@ impl Grams {
             let rhs = |runs: &[usize], set: &[usize]| {
                 DVector::from_fn(set.len(), |i, _| runs.iter().map(|r| b[*r][set[i]]).sum())
             };
-            let pull = |set: &[usize]| {
-                DVector::from_fn(set.len(), |i, _| if pulled { self.known(set[i]).pull } else { 0.0 })
-            };
+            let pull =
+                |set: &[usize]| DVector::from_fn(set.len(), |i, _| if pulled { self.known(set[i]).pull } else { 0.0 });
             let beta_base = &base_fold.inverse * (rhs(&base_fold.fold.train, &base.set) + pull(&base.set));
             if plan.pairs.is_empty() {
                 let loss = |beta: &DVector<f64>, f: &FoldPlan, set: &[usize]| {
@@ -502,7 +500,8 @@ impl Grams {
         let base_plan = self.plan(base, &Group::Linear(Vec::new()));
         let plans: Vec<Plan> = groups.par_iter().map(|g| self.plan(base, g)).collect();
         let observed = self.observed_b();
-        let improvements: Vec<f64> = plans.par_iter().map(|p| self.improvement(p, &base_plan, &observed, true)).collect();
+        let improvements: Vec<f64> =
+            plans.par_iter().map(|p| self.improvement(p, &base_plan, &observed, true)).collect();
         let null: Vec<f64> = (0..repetitions)
             .into_par_iter()
             .map(|k| {
