@@ -5,7 +5,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
 use twum_host::diagnose::answer::{Diagnosis, Verdict};
-use twum_host::diagnose::{Options, diagnose};
+use twum_host::diagnose::fit::misfit;
+use twum_host::diagnose::{Details, Options, diagnose};
 use twum_host::record::measurement::Measurement;
 use twum_tests::experiment::{Design, Sealed};
 use twum_tests::hidden::Hidden;
@@ -37,6 +38,30 @@ fn nothing_hidden_names_nothing() {
         let d = through_a_folder(&[], seed, &[]);
         assert_eq!(d.verdict, Verdict::None, "seed {seed}: {:?}", d.suspected());
     }
+}
+
+/// Fails if the fitted model, sampled as the data were, leaves another error than the data do: then the sampling is not
+/// understood, and what is left of it would be called an effect.
+#[test]
+fn nothing_hidden_leaves_what_the_sampling_leaves() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    Sealed::new(small(), 3).make(&[]).write(folder.path(), "sealed").expect("the folder can be written");
+    let measurement = Measurement::load(folder.path()).expect("the folder can be read");
+    let (_, details) = diagnose(&[measurement], &Options::default(), &|_, _| {}).expect("it can be diagnosed");
+    let Some(Details::Runs { problem, outcome }) = details else { panic!("several runs") };
+    let left = misfit(&problem, &outcome.baseline, 0.1, 0.01, 4, 1).expect("the runs are sampled");
+    assert!((0.85..1.3).contains(&left), "{left} times what the sampling leaves");
+}
+
+/// Fails if the friction's refit swallows the dead zone again, or the sampling bends it: the hidden threshold is known.
+#[test]
+fn a_dead_zone_comes_with_its_threshold() {
+    let hidden = hide("dead-zone", 1.5, 12);
+    let truth = hidden.comparable().expect("thresholds are comparable");
+    let d = through_a_folder(&[hidden], 12, &[]);
+    let effect = d.effects.iter().find(|e| e.name == "dead-zone").expect("it was judged");
+    let p = &effect.parameters["threshold_duty"];
+    assert!((p.value - truth).abs() < 0.25 * truth && p.ci95[0] < truth && truth < p.ci95[1], "{truth} {p:?}");
 }
 
 /// Fails if an effect is no longer found, or comes with a wrong name beside it.

@@ -325,3 +325,56 @@ fn control(o: &mut Observed, run: &Run, rows: &[crate::record::measurement::Cont
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sampled(edge_ms: usize) -> Observed {
+        let levels = (0..2000_usize).map(|k| (k / edge_ms).is_multiple_of(2)).collect();
+        let run = Run {
+            id: "r".into(),
+            kind: RunKind::Speed,
+            file: String::new(),
+            format: crate::record::measurement::Format::Levels,
+            duty: Some(1.0),
+            direction: Some(Direction::Cw),
+            pwm_hz: 50.0,
+            drive_on_s: Some(2.0),
+            pwm_phase_s: 0.0,
+            aligned: false,
+            order: None,
+            control: None,
+            data: RunData::Levels { start_us: 0.0, period_us: 1000.0, levels },
+        };
+        observe(&run, 400).expect("the run can be used")
+    }
+
+    /// Fails if short intervals are compared alone, if slots of both kinds fall into one stretch in equal number, or if an edge is
+    /// an end of none.
+    #[test]
+    fn short_intervals_are_compared_in_odd_stretches() {
+        let mut o = sampled(5);
+        let edges = o.windows.iter().filter(|w| w.low == w.high).count();
+        o.widen();
+        let stretches: Vec<&Window> = o.windows.iter().filter(|w| w.low == w.high).collect();
+        assert_eq!(stretches.len(), edges - 2);
+        for (k, w) in stretches.iter().enumerate() {
+            assert_eq!((w.from, w.to), (k + 1, k + 4));
+            assert!((w.low - 3.0 * o.pitch).abs() < 1e-12 && (o.duration(w) - 0.015).abs() < 1e-9);
+        }
+        assert!(
+            o.windows[0].low != o.windows[0].high
+                && o.windows[o.windows.len() - 1].high != o.windows[o.windows.len() - 1].low
+        );
+    }
+
+    /// Fails if intervals that are long against the sampling are put together.
+    #[test]
+    fn long_intervals_stay() {
+        let mut o = sampled(20);
+        let before = o.windows.clone();
+        o.widen();
+        assert_eq!(o.windows, before);
+    }
+}

@@ -154,12 +154,10 @@ impl Problem {
         simulate(&input, &parameters, &model.terms[i], &mut angle, &mut Vec::new());
         let high = 0.5 * (1.0 + parameters.get(P::EdgeOffset));
         let level = |k: usize| (angle[k] / (2.0 * run.pitch) + place).rem_euclid(1.0) < high;
-        let mut edges = Vec::with_capacity(run.times.len());
-        for k in 1..times.len() {
-            if level(k) != level(k - 1) {
-                edges.push((times[k] - 0.5 * period, level(k)));
-            }
-        }
+        let edges: Vec<(f64, bool)> = (1..times.len())
+            .filter(|k| level(*k) != level(k - 1))
+            .map(|k| (times[k] - 0.5 * period, level(k)))
+            .collect();
         let mut made = run.clone();
         made.put_edges(&edges, level(0), start, run.record_end);
         made

@@ -589,3 +589,75 @@ fn off_piece(speed: f64, brake: f64, external: f64) -> Piece {
     let duration = if a * speed < 0.0 { -speed / a } else { f64::INFINITY };
     Piece { duration, motion: Motion::Linear(a) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn angles(p: &Parameters, on_s: f64, half_sample_s: f64, times: &[f64]) -> Vec<f64> {
+        // One PWM period of 20 ms with the drive on at its end, then none.
+        let schedule = Schedule {
+            periods: vec![Period { start: 0.0, end: 0.02, duty: on_s / 0.02 }],
+            directions: vec![(0.0, 1.0)],
+        };
+        let angles = vec![0.0; times.len()];
+        let input = RunInput {
+            schedule: &schedule,
+            drive_end: 0.02,
+            times,
+            half_sample_s,
+            angles: &angles,
+            warmth: 0.0,
+            revolutions: 0.0,
+        };
+        let mut angle = Vec::new();
+        simulate(&input, p, &RunTerms::default(), &mut angle, &mut Vec::new());
+        angle
+    }
+
+    /// The same rotor in steps of a microsecond: the crest follows the drive with a time constant, the contact pulls the rotor
+    /// towards it, friction brakes once the wave is gone.
+    fn stepped(p: &Parameters, on_s: f64) -> f64 {
+        let (mut crest, mut speed, mut angle) = (0.0, 0.0_f64, 0.0);
+        let dt = 1e-6;
+        for k in 0..40_000 {
+            let on = f64::from(k) * dt < on_s;
+            let goal = if on { p.get(P::FreeSpeed) } else { 0.0 };
+            crest += (goal - crest) * dt / p.get(P::WaveTime);
+            speed = if crest < 0.02 * p.get(P::FreeSpeed) {
+                (speed - p.get(P::OffDeceleration) * dt).max(0.0)
+            } else {
+                let reach = p.get(P::OnAcceleration) * dt;
+                speed + (crest - speed).clamp(-reach, reach)
+            };
+            angle += speed * dt;
+        }
+        angle
+    }
+
+    /// Fails if the dying wave no longer drives a rotor that is slower than its crest: pulses of 1 ms then turn a sixth less.
+    #[test]
+    fn short_pulses_turn_as_far_as_small_steps_say() {
+        let p = Parameters::new(3.57, 2009.0, 1900.0, 0.0, 0.005).with(P::WaveTime, 2.48e-4);
+        for on_s in [1e-3, 2e-3, 4e-3, 10e-3] {
+            let ours = angles(&p, on_s, 0.0, &[0.05])[0];
+            let reference = stepped(&p, on_s);
+            assert!((ours / reference - 1.0).abs() < 0.05, "{on_s} s: {ours} rad, in small steps {reference} rad");
+        }
+        let without = angles(&p.with(P::WaveTime, 0.0), 1e-3, 0.0, &[0.05])[0];
+        assert!(without < 0.9 * stepped(&p, 1e-3), "the effect is there to be seen: {without}");
+    }
+
+    /// Fails if an edge is held against the angle in the middle of its sampling period.
+    #[test]
+    fn a_sampled_edge_stands_for_the_mean_of_both_samples() {
+        let p = Parameters::new(3.57, 2009.0, 1900.0, 0.0, 0.02);
+        let h = 0.5e-3;
+        let times = [0.0104, 0.012, 0.0185, 0.021];
+        let mean = angles(&p, 10e-3, h, &times);
+        for (t, m) in times.iter().zip(mean) {
+            let sides = angles(&p, 10e-3, 0.0, &[t - h, t + h]);
+            assert!((m - 0.5 * (sides[0] + sides[1])).abs() < 1e-12, "at {t} s");
+        }
+    }
+}
