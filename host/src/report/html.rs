@@ -134,7 +134,7 @@ h2 { font-size: 1.25rem; margin: 2.2rem 0 0.6rem; padding-bottom: 0.25rem; borde
 h3 { font-size: 1.05rem; margin: 1.6rem 0 0.4rem; }
 p, ul { margin: 0.6rem 0; }
 .callout { border-left: 4px solid var(--accent); background: var(--shade); padding: 0.7rem 1rem; }
-pre { background: var(--shade); padding: 0.7rem 1rem; overflow-x: auto; font-size: 0.85rem; }
+pre { background: var(--shade); padding: 0.7rem 1rem; white-space: pre-wrap; font-size: 0.85rem; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; margin: 0.8rem 0; font-size: 0.9rem; }
 th, td { padding: 0.3rem 0.8rem; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top; }
