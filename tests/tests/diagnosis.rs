@@ -4,7 +4,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
-use twum_host::diagnose::answer::{Diagnosis, Verdict};
+use twum_host::diagnose::answer::{Diagnosis, ParameterAnswer, Verdict};
 use twum_host::diagnose::fit::misfit;
 use twum_host::diagnose::{Details, Options, diagnose};
 use twum_host::record::measurement::Measurement;
@@ -29,6 +29,15 @@ fn hide(name: &'static str, rho: f64, seed: u64) -> Hidden {
     let mut hidden = Hidden::draw(name, &mut ChaCha8Rng::seed_from_u64(seed));
     Sealed::new(small(), seed).scale_to(&mut hidden, rho);
     hidden
+}
+
+/// The number that is hidden, and what the answer says of it.
+fn hidden_and_found(name: &'static str, parameter: &str, rho: f64) -> (f64, ParameterAnswer) {
+    let hidden = hide(name, rho, 12);
+    let truth = hidden.comparable().expect("the two forms have the number in common");
+    let d = through_a_folder(&[hidden], 12, &[]);
+    let effect = d.effects.into_iter().find(|e| e.name == name).expect("it was judged");
+    (truth, effect.parameters[parameter].clone())
 }
 
 /// A name out of nothing is the worst error; the full suite measures its rate.
@@ -56,11 +65,7 @@ fn nothing_hidden_leaves_what_the_sampling_leaves() {
 /// Fails if the friction's refit swallows the dead zone again, or the sampling bends it: the hidden threshold is known.
 #[test]
 fn a_dead_zone_comes_with_its_threshold() {
-    let hidden = hide("dead-zone", 1.5, 12);
-    let truth = hidden.comparable().expect("thresholds are comparable");
-    let d = through_a_folder(&[hidden], 12, &[]);
-    let effect = d.effects.iter().find(|e| e.name == "dead-zone").expect("it was judged");
-    let p = &effect.parameters["threshold_duty"];
+    let (truth, p) = hidden_and_found("dead-zone", "threshold_duty", 1.5);
     assert!((p.value - truth).abs() < 0.25 * truth && p.ci95[0] < truth && truth < p.ci95[1], "{truth} {p:?}");
 }
 
@@ -85,11 +90,7 @@ fn hidden_effects_are_found_without_being_told() {
 /// Fails if the interval or the parameter's meaning drifts: the hidden slot width is known.
 #[test]
 fn parameters_come_with_intervals_that_mean_something() {
-    let hidden = hide("unequal-edges", 1.0, 12);
-    let truth = hidden.comparable().expect("slot widths are comparable");
-    let d = through_a_folder(&[hidden], 12, &[]);
-    let effect = d.effects.iter().find(|e| e.name == "unequal-edges").expect("it was judged");
-    let p = &effect.parameters["high_slot_excess"];
+    let (truth, p) = hidden_and_found("unequal-edges", "high_slot_excess", 1.0);
     assert!(
         (p.value - truth).abs() < 0.15 * truth.abs() && p.ci95[0] < p.value && p.value < p.ci95[1],
         "{truth} {p:?}"

@@ -60,7 +60,8 @@ pub enum Phased {
 }
 
 impl Phased {
-    fn columns(self) -> [Column; 2] {
+    /// The cosine and the sine as columns of a design.
+    pub fn columns(self) -> [Column; 2] {
         match self {
             Phased::Runout(h) => [Column::Runout(2 * h), Column::Runout(2 * h + 1)],
             Phased::Eccentricity => [Column::Eccentricity(0), Column::Eccentricity(1)],
@@ -146,6 +147,7 @@ fn everything(n: usize) -> Fold {
 fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: usize) -> Model {
     let scales = vec![1.0; free.len()];
     let set: Vec<usize> = (0..free.len()).collect();
+    let all: Vec<usize> = (0..problem.runs.len()).collect();
     for _ in 0..iterations {
         let designs = problem.design(&model, &columns_of(free));
         let grams = Grams::new(&designs, 0, &scales, Some(&[]), vec![everything(problem.runs.len())]);
@@ -153,7 +155,7 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
         let misfit = grams.misfit_a_run();
         let target = |m: &Model| objective(problem, m, variance, spread) + penalty(free, m, misfit);
         let before = target(&model);
-        let step = grams.with_prior(priors_at(free, &model, misfit)).fit_all(&set).0;
+        let step = grams.with_prior(priors_at(free, &model, misfit)).fit(&all, &set);
         let mut accepted = None;
         let mut factor = 1.0;
         for _ in 0..5 {
@@ -214,6 +216,7 @@ pub fn bias(
 ) -> Option<Vec<[f64; 2]>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let set: Vec<usize> = (0..free.len()).collect();
+    let all: Vec<usize> = (0..problem.runs.len()).collect();
     let mut sums = vec![[0.0; 2]; free.len()];
     for _ in 0..repetitions {
         let made = problem.remade(model, gain_spread, &mut rng)?;
@@ -221,7 +224,7 @@ pub fn bias(
         let everything = vec![everything(made.runs.len())];
         let grams = Grams::new(&designs, 0, &vec![1.0; free.len()], Some(&[]), everything);
         let misfit = grams.misfit_a_run();
-        let step = grams.with_prior(priors_at(free, model, misfit)).fit_all(&set).0;
+        let step = grams.with_prior(priors_at(free, model, misfit)).fit(&all, &set);
         for ((sum, f), s) in sums.iter_mut().zip(free).zip(step.iter()) {
             let value = model.parameters.get(f.parameter);
             let off = moved(f.parameter, value, s.clamp(-0.5, 0.5) * f.scale) - value;

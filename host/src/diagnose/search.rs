@@ -21,6 +21,8 @@ const SAME_FOR_A_CONFLICT: f64 = 0.85;
 /// How much more squared error than the sampling leaves may stay with nothing to blame: the reduced rotor equation itself leaves up
 /// to 1.3 times as much.
 const LARGEST_MISFIT: f64 = 1.6;
+/// Data sets made to see what the sampling leaves.
+const MADE: usize = 8;
 /// Most effects that are added.
 const MOST_EFFECTS: usize = 4;
 
@@ -228,8 +230,6 @@ pub fn refit_baseline(problem: &Problem, start: &Parameters, coasting: bool) -> 
 
 /// Context of one step of the search: designs and normal equations around the present model.
 struct Step {
-    /// The motor file's rates: where a refit starts that must not lean on what the baseline swallowed.
-    home: Parameters,
     base: Vec<usize>,
     candidates: Vec<Candidate>,
     flexible: Vec<(&'static str, Group)>,
@@ -292,7 +292,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     let mut fits: Vec<Fitted> = Vec::new();
     for round in 0..=MOST_EFFECTS {
         progress("searching the library", 0.1 + 0.15 * round as f64);
-        let step = linearise(problem, &start, &model, &effects, &usable, &accepted, &base_free, &keys, &divisions);
+        let step = linearise(problem, &model, &effects, &usable, &accepted, &base_free, &keys, &divisions);
         noise = Some((step.grams.variance, step.grams.gain_spread));
         let groups: Vec<Group> = step.candidates.iter().map(|c| c.group.clone()).collect();
         if groups.is_empty() || round == MOST_EFFECTS {
@@ -347,6 +347,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
             .map(|(e, c)| {
                 let mut trial = try_candidate(
                     problem,
+                    &start,
                     &model,
                     &effects[*e],
                     *e,
@@ -478,7 +479,7 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
     progress("looking for what no candidate explains", 0.9);
     let mut unknown = Vec::new();
     {
-        let step = linearise(problem, &start, &model, &effects, &[], &accepted, &base_free, &keys, &divisions);
+        let step = linearise(problem, &model, &effects, &[], &accepted, &base_free, &keys, &divisions);
         let groups: Vec<Group> = step.flexible.iter().map(|f| f.1.clone()).collect();
         let (improvements, null) = step.grams.screen(&step.base, &groups, settings.repetitions, settings.seed + 77_777);
         for (k, (lives_in, group)) in step.flexible.iter().enumerate() {
@@ -494,10 +495,10 @@ pub fn search(problem: &Problem, start: Parameters, settings: &Settings, progres
         // Where no cause is found and no term without physics catches it, the sampling still says how much too much is left.
         if accepted.is_empty() {
             let (variance, spread) = (step.grams.variance, step.grams.gain_spread);
-            let misfit = super::fit::misfit(problem, &model, variance, spread, 8, settings.seed).unwrap_or(1.0);
+            let misfit = super::fit::misfit(problem, &model, variance, spread, MADE, settings.seed).unwrap_or(1.0);
             if misfit > LARGEST_MISFIT {
                 let gain = 1.0 - (1.0 / misfit).sqrt();
-                unknown.push(Unknown { lives_in: "no one place", gain, p_null: 1.0 / 9.0 });
+                unknown.push(Unknown { lives_in: "no one place", gain, p_null: 1.0 / (1 + MADE) as f64 });
             }
         }
     }
@@ -584,7 +585,6 @@ struct Trial {
 #[allow(clippy::too_many_arguments)]
 fn linearise(
     problem: &Problem,
-    home: &Parameters,
     model: &Model,
     effects: &[Effect],
     usable: &[usize],
@@ -660,7 +660,7 @@ fn linearise(
     let grams = Grams::new(&designs, 0, &scales, Some(keys), divisions.to_vec());
     let misfit = grams.misfit_a_run();
     let grams = grams.with_prior(priors_at(&free, model, misfit));
-    Step { home: home.clone(), base, candidates, flexible, grams }
+    Step { base, candidates, flexible, grams }
 }
 
 fn distinct(values: impl Iterator<Item = f64>) -> usize {
@@ -681,6 +681,7 @@ fn group_of(shape: &Shape, columns: Vec<usize>) -> Group {
 #[allow(clippy::too_many_arguments)]
 fn try_candidate(
     problem: &Problem,
+    home: &Parameters,
     model: &Model,
     effect: &Effect,
     index: usize,
@@ -747,7 +748,7 @@ fn try_candidate(
     let mut all = accepted.to_vec();
     all.push(own.clone());
     if own.phased.is_empty() {
-        start = best_start(problem, &step.home, model, start, effect, shape, base_free, &all, noise);
+        start = best_start(problem, home, model, start, effect, shape, base_free, &all, noise);
     }
     let (fitted, phased_fits) = refit_accepted(problem, &start, base_free, &all);
     let held = held_out_at(problem, &fitted, base_free, &all, keys, divisions, Some(noise));
@@ -934,12 +935,7 @@ fn local_designs(
     for p in accepted.iter().flat_map(|a| &a.phased) {
         let at = columns.len();
         pairs.push([at, at + 1]);
-        let both = match p {
-            Phased::Runout(h) => [Column::Runout(2 * h), Column::Runout(2 * h + 1)],
-            Phased::Eccentricity => [Column::Eccentricity(0), Column::Eccentricity(1)],
-            Phased::Gravity => [Column::Gravity(0), Column::Gravity(1)],
-        };
-        columns.extend(both);
+        columns.extend(p.columns());
         scales.extend([PHASED_SCALE; 2]);
     }
     (problem.design(model, &columns), scales, set, pairs)
