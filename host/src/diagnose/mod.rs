@@ -199,7 +199,8 @@ pub fn diagnose(
         coasting: options.coasting,
         ..Settings::default()
     };
-    let mut outcome = search(&problem, start, &settings, progress);
+    let mut outcome = search(&problem, start.clone(), &settings, progress);
+    notes.extend(doubted_rates(&start, &outcome.extended.parameters));
     let tracks: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).filter(|r| r.kind == RunKind::Track).collect();
     if !tracks.is_empty() {
         let parity = controller::parity(&tracks, settings.repetitions, options.seed, &options.without);
@@ -230,6 +231,22 @@ pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
     let wave_time_s = options.motor.as_ref().map_or(2.28e-4, motor::wave_time_s);
     Parameters::new(free, drive, if options.coasting { 0.0 } else { brake }, viscous, 0.02)
         .with(P::WaveTime, wave_time_s)
+}
+
+/// Friction of the motor file that the runs do not bear out: what is estimated then leans on a wrong belief.
+fn doubted_rates(listed: &Parameters, fitted: &Parameters) -> Option<String> {
+    let rates = [(P::OnAcceleration, "under drive"), (P::OffDeceleration, "without drive")];
+    let (rate, when) = rates.into_iter().find(|(rate, _)| {
+        let ratio = fitted.get(*rate) / listed.get(*rate);
+        ratio > 0.0 && ratio.is_finite() && ratio.ln().abs() > 2.0 * search::RATE_LOG_SD
+    })?;
+    Some(format!(
+        "these runs do not bear out the motor file's friction {when}: {:.0} rad/s^2 over the inertia there, {:.0} here and leaning towards it. \
+         Sizes may lie outside their intervals; measure the friction first (twum identify friction), or give the motor these \
+         runs were made with (--motor, --flavour)",
+        listed.get(rate),
+        fitted.get(rate)
+    ))
 }
 
 /// Metadata that contradict the record.

@@ -192,7 +192,7 @@ pub fn baseline_free(p: &Parameters, home: &Parameters, coasting: bool) -> Vec<F
 /// How well a motor file is believed to know its friction: standard deviation of the logarithm of both rates. Friction of one motor
 /// varies by a third from day to day, between motors by more; without any belief the rates run away to swallow what a dead zone
 /// or a delay does to each pulse.
-const RATE_LOG_SD: f64 = 0.3;
+pub const RATE_LOG_SD: f64 = 0.3;
 
 /// How much better a rotor that coasts must fit before it is believed of a motor whose friction is said to clamp it.
 const COASTING_GAIN: f64 = 0.2;
