@@ -2,12 +2,13 @@
 
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::diagnose::cache::{self, Kept};
 use twum_host::diagnose::{Details, Options, answer, diagnose, motor, report};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
+use twum_host::record::load::load_runs;
 use twum_host::record::measurement::Measurement;
 
 /// Arguments of `twum diagnose`.
@@ -21,7 +22,7 @@ Examples:
 
 The exit code is 0 if the question could be answered (whatever the answer), 2 if the folder could not be read.")]
 pub struct Args {
-    /// Measurement folders, diagnosed together
+    /// Measurement folders or recordings, diagnosed together
     #[arg(required = true)]
     folders: Vec<PathBuf>,
     /// Motor file, or the name of a shipped motor [default: the one the folder names]
@@ -58,22 +59,38 @@ enum FlavourArg {
     Thesis,
 }
 
+/// The runs of a measurement folder or a recording, and what was lost of them.
+pub fn runs_of(folder: &Path) -> Result<(Measurement, Vec<String>)> {
+    // What `twum experiment run` writes holds the measurement beside its recordings.
+    let within = folder.join("measurement");
+    load_runs(folder).with_context(|| {
+        let hint = if within.is_dir() { format!(" (did you mean {}?)", within.display()) } else { String::new() };
+        format!("reading {}{hint}", folder.display())
+    })
+}
+
+/// The motor that is `given`, or that the measurement names; none for an ordinary one, which has no motor file.
+pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option<Motor>> {
+    Ok(match (given, measurement.motor_file()) {
+        (Some("inertial"), _) => None,
+        (Some(name), _) => Some(Motor::load(name)?),
+        (None, Some(path)) => Some(Motor::load(&path.to_string_lossy())?),
+        (None, None) if measurement.motor == "inertial" => None,
+        (None, None) => Some(Motor::shipped(&measurement.motor)?),
+    })
+}
+
 /// Runs `twum diagnose`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let mut measurements = Vec::new();
+    let mut lost = Vec::new();
     for folder in &args.folders {
-        measurements.push(Measurement::load(folder).with_context(|| format!("reading {}", folder.display()))?);
+        let (measurement, losses) = runs_of(folder)?;
+        measurements.push(measurement);
+        lost.extend(losses);
     }
     let flavour = if args.flavour == FlavourArg::Thesis { Flavour::Thesis } else { Flavour::Physical };
-    let own = &measurements[0];
-    // An ordinary motor has no motor file.
-    let motor_file = match (&args.motor, own.motor_file()) {
-        (Some(name), _) if name == "inertial" => None,
-        (Some(name), _) => Some(Motor::load(name)?),
-        (None, Some(path)) => Some(Motor::load(&path.to_string_lossy())?),
-        (None, None) if own.motor == "inertial" => None,
-        (None, None) => Some(Motor::shipped(&own.motor)?),
-    };
+    let motor_file = motor_of(&measurements[0], args.motor.as_deref())?;
     let bar = ProgressBar::new(100)
         .with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
     let options = Options {
@@ -92,17 +109,23 @@ pub fn run(args: Args) -> Result<ExitCode> {
         print!("{}", if args.json { kept.json } else { kept.text });
         return Ok(ExitCode::SUCCESS);
     }
-    let (diagnosis, details) = diagnose(&measurements, &options, &|what, share| {
+    let (mut diagnosis, details) = diagnose(&measurements, &options, &|what, share| {
         bar.set_message(what.to_owned());
         bar.set_position((share * 100.0) as u64);
     })?;
     bar.finish_and_clear();
+    diagnosis.notes.extend(lost);
     if let Some(path) = &args.report {
         let title: Vec<&str> = measurements.iter().map(|m| m.name.as_str()).collect();
         let page = report::page(&title.join(", "), &diagnosis, details.as_ref()).context("drawing the report")?;
         page.write(path).with_context(|| format!("writing {}", path.display()))?;
         eprintln!("wrote {}", path.display());
     }
+    let kept = Kept { json: serde_json::to_string_pretty(&diagnosis)? + "\n", text: answer::text(&diagnosis) };
+    if let Some(error) = place.and_then(|place| place.write(&kept).err()) {
+        eprintln!("the answer could not be kept for a second look: {error}");
+    }
+    print!("{}", if args.json { kept.json } else { kept.text });
     if let Some(path) = &args.save_model {
         let (Some(motor_file), Some(Details::Runs { outcome, .. })) = (&motor_file, &details) else {
             bail!(
@@ -113,10 +136,5 @@ pub fn run(args: Args) -> Result<ExitCode> {
         std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
         eprintln!("wrote {}", path.display());
     }
-    let kept = Kept { json: serde_json::to_string_pretty(&diagnosis)? + "\n", text: answer::text(&diagnosis) };
-    if let Some(error) = place.and_then(|place| place.write(&kept).err()) {
-        eprintln!("the answer could not be kept for a second look: {error}");
-    }
-    print!("{}", if args.json { kept.json } else { kept.text });
     Ok(ExitCode::SUCCESS)
 }

@@ -1,6 +1,7 @@
 //! `twum experiment`.
 
 use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms};
+use super::diagnose::{motor_of, runs_of};
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -9,6 +10,7 @@ use std::time::Duration;
 use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Options, diagnose};
 use twum_host::link::bench::{Action, Experiment, perform};
+use twum_host::model::parameters::Flavour;
 use twum_host::record::export::{EncoderSource, to_measurement};
 use twum_host::record::measurement::Measurement;
 use twum_host::record::recording::Recording;
@@ -92,9 +94,10 @@ fn planned(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
     }
     let mut measurements = Vec::new();
     for folder in &wanted.folders {
-        measurements.push(Measurement::load(folder).with_context(|| format!("reading {}", folder.display()))?);
+        measurements.push(runs_of(folder)?.0);
     }
-    let (diagnosis, _) = diagnose(&measurements, &Options { quick: true, ..Options::default() }, &|_, _| {})?;
+    let motor = motor_of(&measurements[0], None)?.map(|m| m.parameters(Flavour::Physical));
+    let (diagnosis, _) = diagnose(&measurements, &Options { quick: true, motor, ..Options::default() }, &|_, _| {})?;
     Ok(next_runs(&measurements, &diagnosis))
 }
 

@@ -32,6 +32,11 @@ impl Place {
         format!("{options:?}").hash(&mut hash);
         for m in measurements {
             m.folder.hash(&mut hash);
+            if m.folder.is_file() {
+                // A recording holds all its runs.
+                std::fs::read(&m.folder).ok()?.hash(&mut hash);
+                continue;
+            }
             std::fs::read(m.folder.join("measurement.toml")).ok()?.hash(&mut hash);
             for run in &m.runs {
                 std::fs::read(m.folder.join(&run.file)).ok()?.hash(&mut hash);
