@@ -1,6 +1,7 @@
 //! The answer: what other programs read, and the page a person reads.
 
-use super::search::{Estimate, Finding, Outcome, Status, Unknown};
+use super::finding::{Estimate, Finding, Status, Unknown};
+use super::search::{NOWHERE, Outcome};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -147,14 +148,14 @@ impl Diagnosis {
     /// Puts the answer together.
     pub fn new(outcome: &Outcome, replicated: bool, notes: Vec<String>, seed: u64) -> Self {
         let mut findings = outcome.findings.clone();
-        let explained = explained_gain(outcome);
         // A named cause must not leave behind, unexplained, a good part of the squared error it claims to explain.
-        let left = outcome.unknown.iter().map(|u| u.gain).fold(0.0, f64::max);
+        let strongest = outcome.unknown.iter().max_by(|a, b| a.gain.total_cmp(&b.gain));
+        let left = strongest.map_or(0.0, |u| u.gain);
         let [before, after] = [0, 1].map(|k| outcome.held_out.rmse(k).powi(2));
         let missed = after * (1.0 - (1.0 - left).powi(2)) / (before - after).max(1e-12);
         let something = findings.iter().any(|f| f.status != Status::Rejected);
         let lack = if something { missed >= super::search::LACK_OF_FIT } else { left >= super::search::LEAST_GAIN };
-        if lack && explained > 0.0 {
+        if lack {
             // What was found in the controller or in the record itself does not hang on the plant's fit.
             let plant = |f: &&mut Finding| {
                 f.status != Status::Rejected
@@ -163,9 +164,15 @@ impl Diagnosis {
             for f in findings.iter_mut().filter(plant) {
                 f.status = Status::Rejected;
                 f.note = format!(
-                    "explains part of it, but a term without physics ({}) still finds {:.0} % beside it: not the cause",
-                    outcome.unknown.first().map_or("", |u| u.lives_in),
-                    100.0 * left
+                    "explains part of it, but {} beside it: not the cause",
+                    match strongest {
+                        Some(u) if u.lives_in != NOWHERE =>
+                            format!("a term without physics ({}) still finds {:.0} %", u.lives_in, 100.0 * left),
+                        _ => format!(
+                            "{:.1} times the error that the sampling leaves stays",
+                            1.0 / (1.0 - left).max(1e-3)
+                        ),
+                    }
                 );
             }
         }
@@ -289,6 +296,18 @@ impl Diagnosis {
         d
     }
 
+    /// Effects that are suspected, and those that look like them.
+    fn candidates(&self) -> Vec<&str> {
+        let suspects = self.effects.iter().filter(|e| e.status != "rejected");
+        let mut names = Vec::new();
+        for name in suspects.flat_map(|e| std::iter::once(&e.name).chain(&e.conflicts_with)) {
+            if !names.contains(&name.as_str()) {
+                names.push(name.as_str());
+            }
+        }
+        names
+    }
+
     /// Named effects.
     pub fn named(&self) -> Vec<&str> {
         self.effects.iter().filter(|e| e.status == "named").map(|e| e.name.as_str()).collect()
@@ -298,12 +317,6 @@ impl Diagnosis {
     pub fn suspected(&self) -> Vec<&str> {
         self.effects.iter().filter(|e| e.status != "rejected").map(|e| e.name.as_str()).collect()
     }
-}
-
-/// Held-out gain of the extended model over the baseline.
-pub fn explained_gain(outcome: &Outcome) -> f64 {
-    let (a, b) = (outcome.held_out.rmse(0), outcome.held_out.rmse(1));
-    if a > 0.0 { 1.0 - b / a } else { 0.0 }
 }
 
 pub(super) fn effect_answer(f: &Finding) -> EffectAnswer {
@@ -340,7 +353,7 @@ pub fn text(d: &Diagnosis) -> String {
     let suspects: Vec<&EffectAnswer> = d.effects.iter().filter(|e| e.status != "rejected").collect();
     line(match d.verdict {
         Verdict::Named => format!("NAMED: {}", d.named().join(", ")),
-        Verdict::Ambiguous => format!("AMBIGUOUS: one of {}", d.suspected().join(", ")),
+        Verdict::Ambiguous => format!("AMBIGUOUS: one of {}", d.candidates().join(", ")),
         Verdict::Unknown => "UNKNOWN: something is there that no effect of the library explains".to_owned(),
         Verdict::None => "NONE: nothing beyond the noise floor".to_owned(),
     });
@@ -402,6 +415,11 @@ pub fn text(d: &Diagnosis) -> String {
         ));
     }
     for u in &d.unknown {
+        if u.lives_in == NOWHERE {
+            let times = 1.0 / (1.0 - u.gain_heldout).max(1e-3);
+            line(format!("Left over       {times:.1} times the error that the sampling leaves, in no one place."));
+            continue;
+        }
         line(format!(
             "Left over       a term without physics over {} would still gain {:.1} % (p = {:.3}).",
             u.lives_in,

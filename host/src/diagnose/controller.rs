@@ -1,8 +1,9 @@
 //! The controller's parity residual: the control signal recomputed from the logged target and position, against the logged
 //! one. It separates the controller from everything behind it before any physics is fitted.
 
+use super::finding::{Estimate, Finding, Status};
 use super::problem::RunDesign;
-use super::search::{Estimate, Finding, LARGEST_P, LEAST_GAIN, Status};
+use super::search::{LARGEST_P, LEAST_GAIN};
 use super::stats::{Fold, Grams, Group, p_value};
 use crate::record::measurement::{ControlRow, Run, RunData};
 use twum_shared::step::{Config, ConfigSpec, Inputs, State, step};

@@ -1,7 +1,7 @@
 //! The library of effects: what each one changes in the rotor equation, how it is looked for, what it is mistaken for.
 
 use super::problem::{Column, Problem};
-use super::rotor::P;
+use super::rotor::{P, Parameters};
 use crate::record::measurement::RunKind;
 
 /// One way in which an effect may act: columns of the linear search.
@@ -281,8 +281,10 @@ pub fn library(on_acceleration: f64) -> Vec<Effect> {
                     )
                 })
                 .collect(),
+            // Dry contacts hold at rest up to one and three quarters of what they hold when sliding: more extra friction than that is a start
+            // on the edge of standing still, which poses as a delay.
             reported: vec![
-                size("extra_friction_over_inertia", "rad/s^2", P::StribeckDeceleration, 0.0, 3.0 * on_acceleration),
+                size("extra_friction_over_inertia", "rad/s^2", P::StribeckDeceleration, 0.0, 0.75 * on_acceleration),
                 form("stribeck_speed", "rad/s", P::StribeckSpeed, 0.02, 4.0),
             ],
             conflicts: &["dead-zone", "start-delay", "contact-stiffening"],
@@ -351,21 +353,47 @@ pub fn library(on_acceleration: f64) -> Vec<Effect> {
     ]
 }
 
+/// Whether fitted parameters say that it is not this effect but another: a time ran to the end of its range.
+pub fn belongs_elsewhere(effect: &str, p: &Parameters) -> bool {
+    match effect {
+        // Quicker is no warmth; what builds up over many runs and is never lost is wear.
+        "resonance-heating" => p.get(P::HeatTau) < 0.302 || p.get(P::HeatCarry) > 0.995 && p.get(P::HeatTau) > 10.0,
+        // Slower is warmth.
+        "frequency-settling" => p.get(P::SettleTau) > 0.398,
+        // A supply gives way at once.
+        "supply-sag" => p.get(P::SagTime) > 0.249,
+        _ => false,
+    }
+}
+
+/// Whether an effect that cannot be judged from some runs may still act in them, and look like another.
+pub fn could_pose(effect: &str) -> bool {
+    matches!(
+        effect,
+        "resonance-heating"
+            | "run-in-wear"
+            | "dead-zone"
+            | "start-delay"
+            | "stribeck-friction"
+            | "high-duty-saturation"
+            | "supply-sag"
+    )
+}
+
 /// Why an effect cannot be judged from these runs, if it cannot.
 pub fn not_judged(effect: &str, problem: &Problem, coasting_baseline: bool) -> Option<String> {
     let runs = &problem.runs;
-    let mut duties: Vec<f64> = runs.iter().filter_map(|r| r.duty).collect();
-    duties.sort_by(f64::total_cmp);
-    duties.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
     let any_track = runs.iter().any(|r| r.kind == RunKind::Track);
-    let pwm = duties.iter().any(|d| *d > 0.0 && *d < 1.0 - 1e-9) || any_track;
+    let pwm = runs.iter().filter_map(|r| r.duty).any(|d| d > 0.0 && d < 1.0 - 1e-9) || any_track;
     let edges = runs.iter().any(|r| r.pitch > 0.0);
     let levels = runs.iter().any(|r| r.pitch > 0.0 && r.level.iter().any(|l| *l != 0));
     let directions = any_track || (runs.iter().any(|r| r.direction > 0.0) && runs.iter().any(|r| r.direction < 0.0));
     let turns = runs.iter().map(|r| r.revolutions()).fold(0.0, f64::max);
     let missing = |what: &str| Some(what.to_owned());
     match effect {
-        "dead-zone" | "high-duty-saturation" | "supply-sag" | "duty-quantisation" if duties.len() < 3 && !any_track => {
+        "dead-zone" | "high-duty-saturation" | "supply-sag" | "duty-quantisation"
+            if problem.duties() < 3 && !any_track =>
+        {
             missing("needs at least three duties")
         }
         "start-delay" | "stribeck-friction" | "contact-stiffening" if !pwm => missing("needs runs below full duty"),
@@ -384,5 +412,26 @@ pub fn not_judged(effect: &str, problem: &Problem, coasting_baseline: bool) -> O
         }
         "resonance-heating" if runs.iter().all(|r| r.record_end < 0.8) => missing("needs runs of a second or more"),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if wear may pose as warmth that is never lost, or real warmth is refused because little of it is lost between runs.
+    #[test]
+    fn a_time_at_the_end_of_its_range_is_another_effect() {
+        let p = Parameters::new(3.6, 1888.0, 1888.0, 0.26, 0.02);
+        let elsewhere = |effect: &str, values: &[(P, f64)]| {
+            belongs_elsewhere(effect, &values.iter().fold(p.clone(), |p, (which, value)| p.with(*which, *value)))
+        };
+        assert!(elsewhere("resonance-heating", &[(P::HeatTau, 30.0), (P::HeatCarry, 1.0)]));
+        assert!(elsewhere("resonance-heating", &[(P::HeatTau, 0.3), (P::HeatCarry, 0.5)]));
+        assert!(!elsewhere("resonance-heating", &[(P::HeatTau, 2.8), (P::HeatCarry, 1.0)]));
+        assert!(!elsewhere("resonance-heating", &[(P::HeatTau, 60.0), (P::HeatCarry, 0.9)]));
+        assert!(elsewhere("supply-sag", &[(P::SagTime, 0.25)]) && !elsewhere("supply-sag", &[(P::SagTime, 0.02)]));
+        assert!(elsewhere("frequency-settling", &[(P::SettleTau, 0.4)]));
+        assert!(!elsewhere("frequency-settling", &[(P::SettleTau, 0.3)]));
     }
 }

@@ -103,7 +103,7 @@ pub fn refit(
     iterations: usize,
 ) -> (Model, Vec<PhasedFit>) {
     let mut fits: Vec<PhasedFit> = Vec::new();
-    let rounds = if phased.is_empty() { 1 } else { 3 };
+    let rounds = if phased.is_empty() { 1 } else { 5 };
     let zero = vec![[0.0; 2]; problem.runs.len()];
     for p in phased {
         p.store(&mut model, &zero);
@@ -181,26 +181,27 @@ fn gauss_newton(problem: &Problem, mut model: Model, free: &[Free], iterations: 
     model
 }
 
-/// How much more squared error `model` leaves than it would leave on data of its own making, sampled like the measured ones: 1 if
-/// nothing is left but the sampling. `None` unless every run was sampled.
-pub fn misfit(
+/// How much more squared error each of `models` leaves than the last of them leaves on data of its own making, sampled like the measured
+/// ones: 1 if nothing is left but the sampling. `None` unless every run was sampled.
+pub fn misfits<const N: usize>(
     problem: &Problem,
-    model: &Model,
+    models: [&Model; N],
     variance: f64,
     spread: f64,
     repetitions: usize,
     seed: u64,
-) -> Option<f64> {
+) -> Option<[f64; N]> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let a_second = |p: &Problem| {
+    let last = models.last()?;
+    let a_second = |p: &Problem, model: &Model| {
         let seconds: f64 = p.runs.iter().map(super::observe::Observed::compared_s).sum();
         objective(p, model, variance, spread) / seconds.max(1e-9)
     };
     let mut floor = 0.0;
     for _ in 0..repetitions {
-        floor += a_second(&problem.remade(model, spread, &mut rng)?) / repetitions as f64;
+        floor += a_second(&problem.remade(last, spread, &mut rng)?, last) / repetitions as f64;
     }
-    Some(a_second(problem) / floor.max(1e-12))
+    Some(models.map(|m| a_second(problem, m) / floor.max(1e-12)))
 }
 
 /// How far the fit of `free` lies from what made the data, on average over `repetitions` data sets made by `model` itself and

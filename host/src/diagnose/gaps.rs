@@ -4,9 +4,10 @@
 //! through the states "n words lost so far", and the cheapest path is taken (Viterbi). The PWM line makes the shift visible:
 //! after a gap the drive's phases no longer fit the record's time.
 
+use super::finding::{Estimate, Finding, Status};
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM};
-use super::search::{Estimate, Finding, LARGEST_P, LEAST_GAIN, Status};
+use super::search::{LARGEST_P, LEAST_GAIN};
 use super::stats::HeldOut;
 use crate::record::measurement::RunKind;
 

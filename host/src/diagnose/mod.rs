@@ -5,9 +5,13 @@
 //! look for what no effect explains. `docs/diagnosis.md` walks through it; `docs/detection.md` says how often it errs.
 
 pub mod answer;
+pub mod baseline;
 pub mod cache;
+pub mod case;
 pub mod controller;
 pub mod effects;
+pub mod estimate;
+pub mod finding;
 pub mod fit;
 pub mod gaps;
 pub mod inertial;
@@ -17,9 +21,11 @@ pub mod plan;
 pub mod problem;
 pub mod report;
 pub mod rotor;
+pub mod score;
 pub mod search;
 pub mod single;
 pub mod stats;
+pub mod trial;
 
 use crate::record::measurement::{Format, Measurement, Run, RunData, RunKind};
 use answer::Diagnosis;
@@ -182,16 +188,10 @@ pub fn diagnose(
     if !replicated {
         notes.push("fewer than four runs: no replication, nothing can be said about run-to-run spread".to_owned());
     }
-    let duties = {
-        let mut d: Vec<f64> = runs.iter().filter_map(|r| r.duty).collect();
-        d.sort_by(f64::total_cmp);
-        d.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
-        d.len()
-    };
-    if duties == 1 && runs.iter().all(|r| r.kind == RunKind::Speed) {
+    let problem = Problem::new(runs);
+    if problem.duties() == 1 && problem.runs.iter().all(|r| r.kind == RunKind::Speed) {
         notes.push("one duty only: effects over duty (dead zone, saturation, sag, rounding) cannot be seen; add runs at two other duties".to_owned());
     }
-    let problem = Problem::new(runs);
     let settings = Settings {
         seed: options.seed,
         repetitions: if options.quick { 150 } else { 400 },
@@ -199,8 +199,15 @@ pub fn diagnose(
         coasting: options.coasting,
         ..Settings::default()
     };
-    let mut outcome = search(&problem, start.clone(), &settings, progress);
+    let mut outcome = search(&problem, &start, &settings, progress);
     notes.extend(doubted_rates(&start, &outcome.extended.parameters));
+    notes.extend(outcome.better_friction.map(|(factor, error)| {
+        format!(
+            "with {factor} times the motor file's friction the simulation would miss by {:.0} % of that: these runs may be of another motor \
+             than the file (--motor, --flavour), or its friction is to be measured first (twum identify friction)",
+            100.0 * error
+        )
+    }));
     let tracks: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).filter(|r| r.kind == RunKind::Track).collect();
     if !tracks.is_empty() {
         let parity = controller::parity(&tracks, settings.repetitions, options.seed, &options.without);
@@ -233,17 +240,17 @@ pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
         .with(P::WaveTime, wave_time_s)
 }
 
-/// Friction of the motor file that the runs do not bear out: what is estimated then leans on a wrong belief.
+/// Friction of the motor file that the runs do not bear out.
 fn doubted_rates(listed: &Parameters, fitted: &Parameters) -> Option<String> {
     let rates = [(P::OnAcceleration, "under drive"), (P::OffDeceleration, "without drive")];
     let (rate, when) = rates.into_iter().find(|(rate, _)| {
         let ratio = fitted.get(*rate) / listed.get(*rate);
-        ratio > 0.0 && ratio.is_finite() && ratio.ln().abs() > 2.0 * search::RATE_LOG_SD
+        ratio > 0.0 && ratio.is_finite() && ratio.ln().abs() > 2.0 * baseline::RATE_LOG_SD
     })?;
     Some(format!(
-        "these runs do not bear out the motor file's friction {when}: {:.0} rad/s^2 over the inertia there, {:.0} here and leaning towards it. \
-         Sizes may lie outside their intervals; measure the friction first (twum identify friction), or give the motor these \
-         runs were made with (--motor, --flavour)",
+        "these runs do not bear out the motor file's friction {when}: {:.0} rad/s^2 over the inertia there, {:.0} here. The answer is drawn \
+         from the latter; narrower intervals need the friction measured (twum identify friction), or the motor these runs were made with \
+         (--motor, --flavour)",
         listed.get(rate),
         fitted.get(rate)
     ))

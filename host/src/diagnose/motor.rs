@@ -241,7 +241,7 @@ pub fn file(motor: &Motor, flavour: Flavour, rotor: &Rotor, diagnosis: &Diagnosi
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::search::{Estimate, Finding, Status};
+    use crate::diagnose::finding::{Estimate, Finding, Status};
 
     fn found(name: &str, parameters: Vec<(&str, f64)>) -> Finding {
         Finding {

@@ -124,10 +124,10 @@ impl Problem {
     }
 
     /// The same experiment as `model` would have made it: sampled at the same times, each run with its own speed (relative spread
-    /// `gain_spread`) and its own place on the wheel. `None` unless every run was sampled, and where the model hangs on the measured angle.
+    /// `gain_spread`) and its own place on the wheel. `None` unless every run was sampled.
     pub fn remade(&self, model: &Model, gain_spread: f64, rng: &mut impl Rng) -> Option<Self> {
         let sampled = |r: &Observed| r.kind == RunKind::Speed && r.pitch > 0.0 && r.half_sample_s() > 0.0;
-        if !self.runs.iter().all(sampled) || model.terms.iter().any(|t| *t != RunTerms::default()) {
+        if !self.runs.iter().all(sampled) {
             return None;
         }
         let warmth = self.warmth(&model.parameters);
@@ -145,15 +145,22 @@ impl Problem {
 
     fn run_remade(&self, i: usize, model: &Model, warmth: f64, gain: f64, place: f64) -> Observed {
         let run = &self.runs[i];
+        let terms = &model.terms[i];
         let (start, period) = (run.times[0], 2.0 * run.half_sample_s());
         let times: Vec<f64> =
             (0..((run.record_end - start) / period) as usize + 1).map(|k| start + k as f64 * period).collect();
         let parameters = model.parameters.with(P::FreeSpeed, gain * model.parameters.get(P::FreeSpeed));
-        let input = RunInput { times: &times, half_sample_s: 0.0, angles: &[], ..self.input(i, warmth) };
-        let mut angle = Vec::with_capacity(times.len());
-        simulate(&input, &parameters, &model.terms[i], &mut angle, &mut Vec::new());
+        // What hangs on the angle reads the encoder: first the one that was measured, then the one that is made.
+        let mut read: Vec<f64> = times.iter().map(|t| run.angle_at(*t)).collect();
+        for _ in 0..if *terms == RunTerms::default() { 1 } else { 3 } {
+            let input = RunInput { times: &times, half_sample_s: 0.0, angles: &read, ..self.input(i, warmth) };
+            let mut angle = Vec::with_capacity(times.len());
+            simulate(&input, &parameters, terms, &mut angle, &mut Vec::new());
+            read =
+                angle.iter().zip(&read).map(|(a, r)| a + terms.encoder_error(*r) - terms.encoder_error(0.0)).collect();
+        }
         let high = 0.5 * (1.0 + parameters.get(P::EdgeOffset));
-        let level = |k: usize| (angle[k] / (2.0 * run.pitch) + place).rem_euclid(1.0) < high;
+        let level = |k: usize| (read[k] / (2.0 * run.pitch) + place).rem_euclid(1.0) < high;
         let edges: Vec<(f64, bool)> = (1..times.len())
             .filter(|k| level(*k) != level(k - 1))
             .map(|k| (times[k] - 0.5 * period, level(k)))
@@ -166,6 +173,20 @@ impl Problem {
     /// Whether the order of the runs is known.
     pub fn ordered(&self) -> bool {
         self.sequence.is_some()
+    }
+
+    /// Root mean square of the runs' mean speeds in rpm.
+    pub fn rms_speed_rpm(&self) -> f64 {
+        let square = |r: &Observed| r.mean_speed_rpm().powi(2);
+        (self.runs.iter().map(square).sum::<f64>() / self.runs.len().max(1) as f64).sqrt()
+    }
+
+    /// How many duties the open-loop runs have.
+    pub fn duties(&self) -> usize {
+        let mut duties: Vec<f64> = self.runs.iter().filter_map(|r| r.duty).collect();
+        duties.sort_by(f64::total_cmp);
+        duties.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+        duties.len()
     }
 
     /// A model without run terms.
@@ -248,9 +269,7 @@ impl Problem {
                     advance -= offset * f64::from(run.level[w.from] - run.level[w.to]);
                 }
                 if sensor {
-                    let (sb, cb) = run.angles[w.to].sin_cos();
-                    let (sa, ca) = run.angles[w.from].sin_cos();
-                    advance += terms.eccentricity[0] * (cb - ca) + terms.eccentricity[1] * (sb - sa);
+                    advance += terms.encoder_error(run.angles[w.to]) - terms.encoder_error(run.angles[w.from]);
                 }
                 if track && (backlash != 0.0 || miscount != 0.0 || drift != 0.0) {
                     let inside = |t: f64| t > run.times[w.from] && t <= run.times[w.to];

@@ -171,6 +171,14 @@ pub struct RunTerms {
     pub gravity: [f64; 2],
 }
 
+impl RunTerms {
+    /// Angle that the encoder reads too far at a measured angle, in rad.
+    pub fn encoder_error(&self, measured: f64) -> f64 {
+        let (sin, cos) = measured.sin_cos();
+        self.eccentricity[0] * cos + self.eccentricity[1] * sin
+    }
+}
+
 /// One PWM period, or any stretch of time with one duty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Period {

@@ -3,11 +3,13 @@
 //! Whole runs cannot be held out, so later turns are: what repeats with the angle, or goes on with time, must do so
 //! where it was not fitted. The start-up happens once; what is said about it cannot be replicated, and the answer says so.
 
+use super::baseline::baseline_free;
+use super::finding::{Estimate, Finding, Status, Unknown};
 use super::fit::refit;
 use super::observe::{Observed, Window};
 use super::problem::{Basis, Column, Problem, RunDesign};
 use super::rotor::{P, Parameters};
-use super::search::{Estimate, Finding, LARGEST_P, LEAST_GAIN, Status, Unknown, baseline_free};
+use super::search::{LARGEST_P, LEAST_GAIN};
 use super::stats::{Fold, Grams, Group, HeldOut, p_value};
 use std::f64::consts::{PI, TAU};
 

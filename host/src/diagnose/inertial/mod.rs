@@ -6,8 +6,9 @@
 
 pub mod map;
 
+use super::finding::{Estimate, Finding, Status, Unknown};
 use super::problem::RunDesign;
-use super::search::{Estimate, Finding, LARGEST_P, LEAST_GAIN, Status, Unknown};
+use super::search::{LARGEST_P, LEAST_GAIN};
 use super::stats::{Fold, Grams, Group, HeldOut, p_value};
 use crate::record::measurement::{DriveResponse, Run, RunData};
 use map::{Map, Shape, Top, VALUES};

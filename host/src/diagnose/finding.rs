@@ -1,0 +1,61 @@
+//! What a search finds: evidence for and against effects, and what lives where nothing explains it.
+
+/// How a cause is called.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// All conditions hold.
+    Named,
+    /// Real, but another cause explains it as well.
+    Ambiguous,
+    /// Looked for, not supported.
+    Rejected,
+}
+
+/// An estimated parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// Name in the JSON.
+    pub name: String,
+    /// Value.
+    pub value: f64,
+    /// 95 % interval.
+    pub interval: [f64; 2],
+    /// Unit.
+    pub unit: String,
+}
+
+/// One effect's evidence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Finding {
+    /// Name of the effect.
+    pub name: String,
+    /// Verdict on it.
+    pub status: Status,
+    /// Held-out gain when it was added.
+    pub gain: f64,
+    /// Its 95 % interval.
+    pub gain_interval: [f64; 2],
+    /// Share of null data sets in which some candidate does as well.
+    pub p_null: f64,
+    /// Parameters.
+    pub parameters: Vec<Estimate>,
+    /// Effects that explain the data as well.
+    pub conflicts: Vec<String>,
+    /// What would decide.
+    pub next_experiment: String,
+    /// Share of the baseline's squared error it removes (Shapley).
+    pub share: f64,
+    /// Why it was not taken, or what is special.
+    pub note: String,
+}
+
+/// A term without physics that still explains something.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Unknown {
+    /// Where it lives: "time", "angle", ...
+    pub lives_in: &'static str,
+    /// Held-out gain on top of the extended model.
+    pub gain: f64,
+    /// Its p-value.
+    pub p_null: f64,
+}
