@@ -345,7 +345,7 @@ fn main() {
     };
     w("# How often the diagnosis finds what is hidden, and how often it errs\n".into());
     w(format!(
-        "Printed by `cargo run --release -p twum-tests --example detection -- --scale {scale} --out docs/detection.md` on {} in {minutes:.0} \
+        "Printed by `cargo run --release -p twum-tests --example detection -- --scale {scale} --shift {shift} --out docs/detection.md` on {} in {minutes:.0} \
          minutes of a shared two-core machine. Data come from the generator of the `tests` crate, which shares no model code with the host; \
          each data set is 36 runs (6 duties, both directions, 3 trials of 2.5 s, levels at 1 ms). Intervals are 95 % Wilson intervals.\n",
         date()

@@ -168,10 +168,7 @@ impl Diagnosis {
                     match strongest {
                         Some(u) if u.lives_in != NOWHERE =>
                             format!("a term without physics ({}) still finds {:.0} %", u.lives_in, 100.0 * left),
-                        _ => format!(
-                            "{:.1} times the error that the sampling leaves stays",
-                            1.0 / (1.0 - left).max(1e-3)
-                        ),
+                        _ => format!("{:.1} times the error that the sampling leaves stays", times(left)),
                     }
                 );
             }
@@ -416,7 +413,7 @@ pub fn text(d: &Diagnosis) -> String {
     }
     for u in &d.unknown {
         if u.lives_in == NOWHERE {
-            let times = 1.0 / (1.0 - u.gain_heldout).max(1e-3);
+            let times = times(u.gain_heldout);
             line(format!("Left over       {times:.1} times the error that the sampling leaves, in no one place."));
             continue;
         }
@@ -442,6 +439,11 @@ pub fn text(d: &Diagnosis) -> String {
         line(format!("Note: {note}"));
     }
     out
+}
+
+/// How many times as large an error is as one that is smaller by `gain`.
+fn times(gain: f64) -> f64 {
+    1.0 / (1.0 - gain).max(1e-3)
 }
 
 fn unit(u: &str) -> &str {

@@ -55,7 +55,7 @@ impl Case<'_> {
         Self { home, base_free, ..self.clone() }
     }
 
-    /// `model` with the friction that is believed in.
+    /// `model` with the friction and the damping that are believed in.
     pub fn at_home(&self, model: &Model) -> Model {
         let mut out = model.clone();
         for rate in [P::OnAcceleration, P::OffDeceleration, P::Viscous] {
@@ -96,10 +96,14 @@ impl Case<'_> {
     pub fn local(&self, model: &Model, accepted: &[Accepted]) -> Local {
         let (designs, scales, pairs) = self.designs(model, accepted);
         let free = self.free(model, accepted);
-        let grams = Grams::new(&designs, 0, &scales, Some(self.keys), self.divisions.to_vec());
+        Local { grams: self.grams(&designs, &scales, &free, model), set: (0..free.len()).collect(), pairs }
+    }
+
+    /// Normal equations of designs around `model` whose first columns are what is `free`, with what is known of that.
+    pub fn grams(&self, designs: &[RunDesign], scales: &[f64], free: &[Free], model: &Model) -> Grams {
+        let grams = Grams::new(designs, 0, scales, Some(self.keys), self.divisions.to_vec());
         let misfit = grams.misfit_a_run();
-        let grams = grams.with_prior(priors_at(&free, model, misfit));
-        Local { grams, set: (0..free.len()).collect(), pairs }
+        grams.with_prior(priors_at(free, model, misfit))
     }
 }
 

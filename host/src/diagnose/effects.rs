@@ -353,7 +353,8 @@ pub fn library(on_acceleration: f64) -> Vec<Effect> {
     ]
 }
 
-/// Whether fitted parameters say that it is not this effect but another: a time ran to the end of its range.
+/// Whether fitted parameters say that it is not this effect but another: a time ran to the end of its range in the library (the limits
+/// here lie just inside those).
 pub fn belongs_elsewhere(effect: &str, p: &Parameters) -> bool {
     match effect {
         // Quicker is no warmth; what builds up over many runs and is never lost is wear.

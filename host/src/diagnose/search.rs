@@ -15,7 +15,7 @@ use super::trial::Trial;
 /// Smallest held-out gain of a named cause.
 pub const LEAST_GAIN: f64 = 0.05;
 /// What the rotor equation itself may miss, as a share of the speed: less than this is no effect, however certain it is. The averaged
-/// motor model behind the simulated board, timed to a microsecond, leaves 0.1 %.
+/// motor model behind the simulated board, timed to a microsecond, leaves 0.1 to 0.2 %.
 pub const EQUATION_ERROR: f64 = 0.005;
 /// Largest p-value of a named cause.
 pub const LARGEST_P: f64 = 0.01;
@@ -33,7 +33,7 @@ const LATER: f64 = 0.1;
 const LATER_BESIDE_A_CONFLICT: f64 = 0.25;
 /// Share of the best candidate's improvement that one has to reach to stand for it, where the best cannot be the cause.
 const NEARLY_AS_MUCH: f64 = 0.6;
-/// Share of what the baseline leaves beyond the sampling that may stay beside a named cause.
+/// Share of what the baseline leaves that may stay beside a named cause (beyond the sampling), or another friction.
 const MOST_LEFT_BESIDE: f64 = 0.5;
 /// How much more squared error than the sampling leaves may stay whatever is to blame: the reduced rotor equation itself leaves up
 /// to 1.3 times as much.
@@ -48,7 +48,7 @@ const MOST_EFFECTS: usize = 4;
 const OTHER_FRICTIONS: [f64; 4] = [0.1, 0.316, 3.16, 10.0];
 /// What another friction has to save, in misfits of a mean run, before the search is repeated from there.
 const CLEARLY_BETTER: f64 = 1.0;
-/// What another friction may cost and still be possible, in misfits of a mean run: two standard deviations.
+/// What another friction may cost and still be possible, in misfits of a mean run.
 const AS_GOOD: f64 = 2.0;
 
 /// What the search is asked to do.
@@ -521,8 +521,8 @@ fn unexplained(case: &Case, baseline: &Model, found: &Found, settings: &Settings
     let sampled = misfits(case.problem, models, grams.variance, grams.gain_spread, MADE, settings.seed);
     let left = sampled.or_else(|| case.misfits_of_exact_times(models, grams.gain_spread));
     let Some([before, after]) = left else { return unknown };
-    let spared = found.accepted.is_empty() || after - 1.0 > MOST_LEFT_BESIDE * (before - 1.0);
-    if after > LARGEST_MISFIT && spared {
+    let most_is_left = found.accepted.is_empty() || after - 1.0 > MOST_LEFT_BESIDE * (before - 1.0);
+    if after > LARGEST_MISFIT && most_is_left {
         let gain = 1.0 - (1.0 / after).sqrt();
         unknown.push(Unknown { lives_in: NOWHERE, gain, p_null: 1.0 / (1 + MADE) as f64 });
     }

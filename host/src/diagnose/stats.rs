@@ -14,11 +14,11 @@ use rayon::prelude::*;
 /// than any effect.
 const BLOCK: usize = 12;
 
-/// Rounds in which the amplitudes of phased pairs and the noise are found.
+/// Rounds in which the amplitudes of phased pairs are found.
 const EXPECTATIONS: usize = 30;
 
 /// Least mean square of a phased coefficient, so that an absent one can be divided by.
-const MOST_SMALL: f64 = 1e-12;
+const LEAST_POWER: f64 = 1e-12;
 
 /// Columns that make up one candidate.
 #[derive(Debug, Clone, PartialEq)]
@@ -618,30 +618,28 @@ impl Grams {
     /// Amplitudes and per-run coefficients of phased pairs with the base fitted on all runs.
     ///
     /// The pairs of a run are fitted together, because in less than a turn one harmonic looks like another. What a run says little of
-    /// leans on the amplitude that all runs share; amplitudes and noise come from the same runs, by expectation and maximisation.
+    /// leans on the amplitude that all runs share, which comes from the same runs by expectation and maximisation. Of a single run the spread
+    /// of an amplitude is not known: it is 0.
     pub fn fit_phased(&self, base: &[usize], pairs: &[[usize; 2]]) -> Vec<PhasedFit> {
         let all: Vec<usize> = (0..self.runs.len()).collect();
         let beta = self.fit(&all, base);
         let b = self.observed_b();
         let columns: Vec<usize> = pairs.concat();
         let n = columns.len();
-        let known: Vec<(DMatrix<f64>, DVector<f64>, f64)> = all
+        let known: Vec<(DMatrix<f64>, DVector<f64>)> = all
             .iter()
             .map(|&r| {
                 let g = DMatrix::from_fn(n, n, |i, j| self.g(r, columns[i], columns[j]));
                 let explained =
                     |c: usize| -> f64 { base.iter().zip(beta.iter()).map(|(k, v)| self.g(r, c, *k) * v).sum() };
                 let rest = DVector::from_fn(n, |i, _| b[r][columns[i]] - explained(columns[i]));
-                let run = &self.runs[r];
-                let k = self.gain_column;
-                let fitted: f64 = base.iter().zip(beta.iter()).map(|(c, v)| v * (explained(*c) - 2.0 * b[r][*c])).sum();
-                (g, rest, run.yy - run.gamma * run.b[k] * run.b[k] + fitted)
+                (g, rest)
             })
             .collect();
         // A run's say in the amplitude falls with the square of what noise does to its coefficients.
         let weights: Vec<Vec<f64>> = known
             .iter()
-            .map(|(g, ..)| {
+            .map(|(g, _)| {
                 let tiny = DMatrix::from_diagonal_element(n, n, 1e-9 * g.trace() + 1e-300);
                 let inverse = (g + tiny).try_inverse().unwrap_or_else(|| DMatrix::zeros(n, n));
                 let noise = |k: usize| inverse[(2 * k, 2 * k)] + inverse[(2 * k + 1, 2 * k + 1)];
@@ -655,7 +653,7 @@ impl Grams {
             .iter()
             .map(|pair| {
                 let plans: Vec<PairPlan> = all.iter().map(|r| self.pair_plan(*r, base, *pair)).collect();
-                self.pair_power(&plans, &beta, &all, &b).max(MOST_SMALL)
+                self.pair_power(&plans, &beta, &all, &b).max(LEAST_POWER)
             })
             .collect();
         let variance = self.variance;
@@ -663,7 +661,7 @@ impl Grams {
         for _ in 0..EXPECTATIONS {
             fitted = known
                 .iter()
-                .map(|(g, rest, _)| {
+                .map(|(g, rest)| {
                     let believed =
                         DMatrix::from_fn(n, n, |i, j| if i == j { 2.0 * variance / powers[i / 2] } else { 0.0 });
                     let inverse = (g + believed).try_inverse().unwrap_or_else(|| DMatrix::zeros(n, n));
@@ -676,7 +674,7 @@ impl Grams {
             for (k, power) in powers.iter_mut().enumerate() {
                 let total: f64 = weights.iter().map(|w| w[k]).sum();
                 let sum: f64 = fitted.iter().zip(&weights).map(|(f, w)| w[k] * f.1[k]).sum();
-                *power = (sum / total.max(1e-300)).max(MOST_SMALL);
+                *power = (sum / total.max(1e-300)).max(LEAST_POWER);
             }
         }
         (0..pairs.len())

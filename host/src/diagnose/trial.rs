@@ -4,7 +4,7 @@ use super::baseline::coasts;
 use super::case::{Accepted, Case};
 use super::effects::Shape;
 use super::finding::Estimate;
-use super::fit::{Free, PHASED_SCALE, Phased, columns_of, objective, penalty, priors_at, refit};
+use super::fit::{Free, PHASED_SCALE, Phased, columns_of, objective, penalty, refit};
 use super::problem::{Basis, Column, Model};
 use super::rotor::P;
 use super::stats::{Grams, Group, HeldOut};
@@ -82,9 +82,7 @@ impl Columns {
 impl Case<'_> {
     fn around(&self, model: &Model, free: &[Free], columns: &Columns) -> Around {
         let designs = self.problem.design(model, &columns.all);
-        let grams = Grams::new(&designs, 0, &columns.scales, Some(self.keys), self.divisions.to_vec());
-        let misfit = grams.misfit_a_run();
-        Around { base: (0..free.len()).collect(), grams: grams.with_prior(priors_at(free, model, misfit)) }
+        Around { base: (0..free.len()).collect(), grams: self.grams(&designs, &columns.scales, free, model) }
     }
 
     /// What of the `usable` effects could be added to `model`, which has the accepted ones.
