@@ -240,6 +240,42 @@ fn both_read_recordings() {
     assert_eq!(number(&found["sensor"]["largest_jump"]), 1.0, "{found}");
 }
 
+/// Fails if a recording cannot be diagnosed, if its answer is not kept or outlives what was recorded, if a model that cannot be saved costs the
+/// answer, or if the folder above a measurement is not seen through.
+#[test]
+fn diagnose_reads_recordings_and_keeps_the_answer() {
+    let dir = tempfile::tempdir().unwrap();
+    let diagnose = |args: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_twum"))
+            .current_dir(dir.path())
+            .env("XDG_CACHE_HOME", dir.path().join("cache"))
+            .arg("diagnose")
+            .args(args)
+            .output()
+            .unwrap();
+        (output.status.code(), String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
+    };
+    let record = |duty: &str| {
+        let _ = std::fs::remove_file(dir.path().join("run.mcap"));
+        let args = ["speed", "--port", "sim", "--duty", duty, "--seconds", "2", "--out", "run.mcap"];
+        assert!(twum(dir.path(), &args).status.success());
+    };
+    record("1");
+    let (code, first, message) = diagnose(&["run.mcap"]);
+    assert!(code == Some(0) && first.contains("one run only") && !message.contains("answered before"), "{message}");
+    let (_, second, message) = diagnose(&["run.mcap"]);
+    assert!(first == second && message.contains("answered before"), "{message}");
+    let (code, answer, message) = diagnose(&["run.mcap", "--save-model", "mine.toml"]);
+    assert!(code == Some(2) && answer == first && message.contains("needs several runs"), "{message}");
+    record("0.6");
+    let (_, other, message) = diagnose(&["run.mcap"]);
+    assert!(other != first && !message.contains("answered before"), "{message}");
+
+    std::fs::create_dir_all(dir.path().join("bench/measurement")).unwrap();
+    let (code, _, message) = diagnose(&["bench"]);
+    assert!(code == Some(2) && message.contains("did you mean bench/measurement?"), "{message}");
+}
+
 /// What went wrong stands once in the message, with the file it is about.
 #[test]
 fn errors_name_their_cause_once() {
