@@ -44,8 +44,8 @@ pub struct Args {
     #[arg(long, value_name = "MOTOR")]
     motor: Option<String>,
     /// Which reading of the motor model is simulated
-    #[arg(long, value_enum, default_value_t = FlavourArg::Physical)]
-    flavour: FlavourArg,
+    #[arg(long, value_enum, default_value_t)]
+    flavour: Flavour,
     /// Allow this much RMSE of the speed
     #[arg(long, value_name = "RPM")]
     max_rmse_rpm: Option<f64>,
@@ -58,14 +58,6 @@ pub struct Args {
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum FlavourArg {
-    /// Formula for formula as the thesis lists it
-    Thesis,
-    /// What the listing gets wrong put right
-    Physical,
 }
 
 /// Everything found, for JSON.
@@ -121,10 +113,7 @@ fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
         (None, Some(file)) => Motor::load(&file.to_string_lossy())?,
         (None, None) => Motor::shipped(&measurement.motor)?,
     };
-    let flavour = match args.flavour {
-        FlavourArg::Thesis => Flavour::Thesis,
-        FlavourArg::Physical => Flavour::Physical,
-    };
+    let flavour = args.flavour;
     let is_open_loop = |run: &&twum_host::record::measurement::Run| run.kind == RunKind::Speed && run.duty.is_some();
     let simulation = match measurement.runs.iter().find(is_open_loop) {
         Some(_) => Some(compare(measurement, &motor, flavour)?),

@@ -65,22 +65,14 @@ struct ForceFactor {
     /// Speeds under load and stalls from a CSV file with the columns duty,load_nm,rpm (rpm 0: the torque that stalled it)
     #[arg(long, value_name = "FILE")]
     torque_runs: Option<PathBuf>,
-    /// Reading of the model: physical, or the thesis's listing
-    #[arg(long, default_value = "physical", value_parser = flavour)]
+    /// Reading of the model
+    #[arg(long, value_enum, default_value = "physical")]
     flavour: Flavour,
     #[command(flatten)]
     save: Save,
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-fn flavour(text: &str) -> Result<Flavour, String> {
-    match text {
-        "physical" => Ok(Flavour::Physical),
-        "thesis" => Ok(Flavour::Thesis),
-        other => Err(format!("`{other}`: there is `physical` and `thesis`")),
-    }
 }
 
 fn loaded(text: &str) -> Result<force_factor::Loaded, String> {

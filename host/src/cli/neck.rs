@@ -67,9 +67,9 @@ struct RunArgs {
     /// Motor at each joint: a shipped one or a file
     #[arg(long, default_value = "pcbmotor-30mm", value_name = "NAME|FILE")]
     motor: String,
-    /// Flavour of the motor model
-    #[arg(long, value_enum, default_value_t = FlavourArg::Physical)]
-    flavour: FlavourArg,
+    /// Flavour of the motor model; the physical one has the maker's stall torque, which loads at a joint need
+    #[arg(long, value_enum, default_value = "physical")]
+    flavour: Flavour,
     /// Controller [default: `thesis` with the thesis flavour, `default` otherwise]
     #[arg(long, value_enum)]
     control: Option<ControlArg>,
@@ -146,12 +146,6 @@ struct StudyArgs {
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum FlavourArg {
-    Thesis,
-    Physical,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum ControlArg {
     Thesis,
     Default,
@@ -211,13 +205,10 @@ fn simulate(args: RunArgs) -> Result<ExitCode> {
 }
 
 fn setup(args: &RunArgs) -> Result<Setup> {
-    let flavour = match args.flavour {
-        FlavourArg::Thesis => Flavour::Thesis,
-        FlavourArg::Physical => Flavour::Physical,
-    };
-    let control = match (args.control, args.flavour) {
-        (Some(ControlArg::Thesis), _) | (None, FlavourArg::Thesis) => Named::Thesis,
-        (Some(ControlArg::Default), _) | (None, FlavourArg::Physical) => Named::Default,
+    let flavour = args.flavour;
+    let control = match (args.control, flavour) {
+        (Some(ControlArg::Thesis), _) | (None, Flavour::Thesis) => Named::Thesis,
+        (Some(ControlArg::Default), _) | (None, Flavour::Physical | Flavour::Measured) => Named::Default,
     };
     let solver = match args.solver {
         SolverArg::Averaged => Solver::Averaged,

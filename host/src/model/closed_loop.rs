@@ -11,7 +11,7 @@ use super::sensor::Encoder;
 use fixed::types::{I16F48, I32F32};
 use std::f64::consts::PI;
 use twum_shared::reference::Reference;
-use twum_shared::step::{Config, ConfigError, Inputs, State, step};
+use twum_shared::step::{Config, ConfigError, ConfigSpec, Inputs, State, step};
 
 /// A closed-loop run.
 #[derive(Debug, Clone)]
@@ -30,6 +30,24 @@ pub struct LoopProgram {
     pub end_s: f64,
     /// Whether counts take the rotor's true sense instead of the direction pin's: what no one-line encoder can do.
     pub true_sense: bool,
+}
+
+impl LoopProgram {
+    /// The thesis's test (section 5.3): 89 counts at 1.257 rad/s under its controller, 50 Hz PWM, 10 s.
+    ///
+    /// # Errors
+    /// Never: its configuration is valid.
+    pub fn thesis(edges_per_rev: u32) -> Result<Self, ConfigError> {
+        Ok(Self {
+            config: Config::try_from(ConfigSpec::THESIS)?,
+            reference: Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 },
+            pwm_hz: 50.0,
+            edges_per_rev,
+            encoder_phase_rad: 0.0,
+            end_s: 10.0,
+            true_sense: false,
+        })
+    }
 }
 
 /// One control tick.
