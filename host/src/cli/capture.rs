@@ -49,7 +49,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     };
     let spinner = spinner();
     let mut frames = 0u64;
-    let outcome = args.connect.perform(&experiment, |_| {
+    let outcome = args.connect.perform(experiment, |_| {
         frames += 1;
         if frames.is_multiple_of(10) {
             spinner.set_message(format!("{frames} frames"));

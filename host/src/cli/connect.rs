@@ -1,12 +1,15 @@
 //! Arguments every command that talks to a board shares.
 
 use anyhow::{Context, Result, anyhow, bail};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use twum_host::link::bench::{Experiment, Outcome, perform};
-use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink};
+use twum_host::link::{Port, Received, SerialLink, Session, SimulatedLink};
+use twum_host::model::motor::Motor;
+use twum_host::model::parameters::Flavour;
 use twum_host::record::measurement::ControlSpec;
-use twum_host::sim::Setup;
+use twum_host::sim::{Setup, Simulated};
 use twum_shared::message::{CaptureMode, Configuration, RunEnd};
 
 /// Which board, and how to reach it.
@@ -18,7 +21,59 @@ pub struct ConnectArgs {
     /// Reset the board through RTS when the port is opened
     #[arg(long)]
     reset: bool,
+    #[command(flatten)]
+    motor: MotorArgs,
 }
+
+/// Which motor is there, or which one to simulate.
+#[derive(Debug, clap::Args)]
+pub struct MotorArgs {
+    /// Motor: a shipped one or a motor file; kept in the recording. With `--port sim` the one simulated
+    /// [default: the one the board simulates, or pcbmotor-30mm]
+    #[arg(long, value_name = "NAME|FILE")]
+    motor: Option<String>,
+    /// Flavour of a simulated motor [default: measured]
+    #[arg(long, value_enum)]
+    flavour: Option<Flavour>,
+    /// Effects to hide in a simulated motor: a file of [effects.NAME] tables, as in a motor file
+    #[arg(long, value_name = "FILE")]
+    effects: Option<PathBuf>,
+}
+
+impl MotorArgs {
+    /// The board to simulate.
+    pub fn simulated(&self) -> Result<Setup> {
+        let hidden = self.effects.as_deref().map(Motor::effects_of_file).transpose()?.unwrap_or_default();
+        let name = self.motor.as_deref().unwrap_or(DEFAULT_MOTOR);
+        if name == SIMPLE {
+            if self.flavour.is_some() || self.effects.is_some() {
+                bail!("the motor `{SIMPLE}` has neither flavours nor effects");
+            }
+            return Ok(Setup::simple());
+        }
+        Ok(Setup::hybrid(&Motor::load(name)?, self.flavour.unwrap_or_default(), &hidden)?)
+    }
+
+    /// The motor that goes into the recording: the one asked for, which a simulated board must not contradict.
+    fn recorded(&self, chip: &str) -> Result<String> {
+        let simulated = Simulated::parse(chip);
+        let Some(asked) = &self.motor else {
+            return Ok(simulated.map_or_else(|| DEFAULT_MOTOR.to_owned(), |it| it.motor));
+        };
+        let name = if asked == SIMPLE { SIMPLE.to_owned() } else { Motor::load(asked)?.name };
+        match simulated {
+            Some(it) if it.motor != name => {
+                bail!("--motor {asked}: the board simulates `{}`; leave --motor out, or name that one", it.motor)
+            }
+            None if name == SIMPLE => bail!("--motor {SIMPLE} is a simulated motor, and this board is a real one"),
+            _ => Ok(asked.clone()),
+        }
+    }
+}
+
+const DEFAULT_MOTOR: &str = "pcbmotor-30mm";
+/// A motor of one time constant, for tests of the link and the loop.
+const SIMPLE: &str = "simple";
 
 /// Set by Ctrl-C; a second Ctrl-C ends the program at once.
 pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
@@ -34,9 +89,12 @@ pub fn catch_interrupts() -> Result<()> {
 }
 
 impl ConnectArgs {
-    fn open(&self) -> Result<Box<dyn Port>, LinkError> {
+    fn open(&self) -> Result<Box<dyn Port>> {
         if self.port == "sim" {
-            return Ok(Box::new(SimulatedLink::new(Setup::default())));
+            return Ok(Box::new(SimulatedLink::new(self.motor.simulated()?)));
+        }
+        if self.motor.flavour.is_some() || self.motor.effects.is_some() {
+            bail!("--flavour and --effects are of a simulated motor: give them to `twum sim`, or with --port sim");
         }
         Ok(Box::new(SerialLink::open(&self.port, self.reset)?))
     }
@@ -49,11 +107,17 @@ impl ConnectArgs {
         Ok(session)
     }
 
-    /// Performs an experiment; a lost port is waited for and opened again.
-    pub fn perform(&self, experiment: &Experiment, observe: impl FnMut(&Received)) -> Result<Outcome> {
+    /// Asks the board who it is; the motor that recordings of it name.
+    pub fn motor(&self, session: &mut Session<Box<dyn Port>>) -> Result<String> {
+        self.motor.recorded(&session.hello()?.chip)
+    }
+
+    /// Performs an experiment; a lost port is waited for and opened again. The recording names the motor of the board.
+    pub fn perform(&self, mut experiment: Experiment, observe: impl FnMut(&Received)) -> Result<Outcome> {
         let mut session = self.session()?;
-        let mut reopen = || self.open();
-        Ok(perform(&mut session, experiment, Some(&mut reopen), observe)?)
+        experiment.motor = self.motor(&mut session)?;
+        let mut reopen = || SerialLink::open(&self.port, self.reset).map(|port| Box::new(port) as Box<dyn Port>);
+        Ok(perform(&mut session, &experiment, Some(&mut reopen), observe)?)
     }
 }
 
@@ -69,9 +133,6 @@ pub struct ConfigurationArgs {
     /// PWM frequency, Hz
     #[arg(long, default_value_t = 50)]
     pwm_hz: u16,
-    /// Motor parameter set, kept in the recording
-    #[arg(long, default_value = "pcbmotor-30mm")]
-    pub motor: String,
 }
 
 impl ConfigurationArgs {

@@ -34,7 +34,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         recording: args.record.out.clone(),
         motor: String::new(),
     };
-    let outcome = args.connect.perform(&experiment, |received| {
+    let outcome = args.connect.perform(experiment, |received| {
         if let DeviceMessage::DriverReply(bytes) = &received.message {
             // A closed stdout ends the printing, not the capture.
             let _ = std::io::stdout().write_all(bytes);

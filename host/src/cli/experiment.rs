@@ -143,6 +143,7 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
     let bar = ProgressBar::new(runs.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
     let mut session = args.connect.session()?;
+    let motor = args.connect.motor(&mut session)?;
     let mut whole: Option<Measurement> = None;
     for (number, planned) in runs.iter().enumerate() {
         let id = planned.id(number);
@@ -162,7 +163,7 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
                 duration_ms: duration_ms(planned.seconds)?,
             }),
             recording: Some(path.clone()),
-            motor: args.configuration.motor.clone(),
+            motor: motor.clone(),
         };
         let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
         if outcome.interrupted {

@@ -172,7 +172,7 @@ fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<E
     };
     let (sender, receiver) = sync_channel::<Received>(WAITING);
     let drawing = thread::spawn(move || show_received(&receiver, screen));
-    let outcome = connect.perform(&experiment, |received| {
+    let outcome = connect.perform(experiment, |received| {
         let _ = sender.try_send(received.clone());
     });
     drop(sender);

@@ -51,11 +51,11 @@ pub fn run(args: Args) -> Result<ExitCode> {
         capture: ALL_STREAMS,
         action: Action::Speed(SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? }),
         recording: args.record.out.clone(),
-        motor: args.configuration.motor.clone(),
+        motor: String::new(),
     };
     let spinner = spinner();
     spinner.set_message("running");
-    let outcome = args.connect.perform(&experiment, |_| {})?;
+    let outcome = args.connect.perform(experiment, |_| {})?;
     spinner.finish_and_clear();
     args.record.conclude(&outcome)
 }

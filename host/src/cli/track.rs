@@ -91,11 +91,11 @@ pub fn run(args: Args) -> Result<ExitCode> {
         capture: ALL_STREAMS,
         action: Action::Track(TrackRun { reference, duration_ms: duration_ms(args.seconds)? }),
         recording: args.record.out.clone(),
-        motor: args.configuration.motor.clone(),
+        motor: String::new(),
     };
     let spinner = spinner();
     spinner.set_message("tracking");
-    let outcome = args.connect.perform(&experiment, |_| {})?;
+    let outcome = args.connect.perform(experiment, |_| {})?;
     spinner.finish_and_clear();
     args.record.conclude(&outcome)
 }

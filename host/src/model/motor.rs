@@ -86,6 +86,14 @@ pub enum MotorError {
         /// Why.
         reason: std::io::Error,
     },
+    /// A file of effects cannot be read.
+    #[error("effects file {file}: {reason}")]
+    ReadEffects {
+        /// The file.
+        file: String,
+        /// Why.
+        reason: std::io::Error,
+    },
     /// A name that no shipped motor has.
     #[error("no motor `{name}` is shipped ({} are); name a file with a `/` in it, or ending in .toml", shipped())]
     NotShipped {
@@ -128,7 +136,15 @@ struct Reader<'a> {
 
 type Table<'a> = Spanned<DeTable<'a>>;
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn root(&self) -> Result<Table<'a>, MotorError> {
+        DeTable::parse(self.text).map_err(|error| MotorError::Syntax {
+            file: self.file.into(),
+            line: self.line(error.span().map_or(0, |span| span.start)),
+            message: error.message().to_owned(),
+        })
+    }
+
     fn line(&self, offset: usize) -> usize {
         self.text.as_bytes().iter().take(offset).filter(|&&b| b == b'\n').count() + 1
     }
@@ -323,6 +339,17 @@ fn place(set: &mut EffectSet, info: &EffectInfo, values: &BTreeMap<String, f64>)
     set.set(info.name, &values)
 }
 
+fn effect_set(listed: &BTreeMap<String, BTreeMap<String, f64>>) -> EffectSet {
+    let mut set = EffectSet::default();
+    for (name, values) in listed {
+        // Both were checked when the file was read; what was put there since and will not do is left out.
+        if let Ok(info) = info(name) {
+            let _ = place(&mut set, info, values);
+        }
+    }
+    set
+}
+
 impl Motor {
     /// Reads a motor file's text; `file` is its name in messages.
     ///
@@ -330,12 +357,7 @@ impl Motor {
     /// Names the key and the line of the first thing that will not do.
     pub fn parse(file: &str, text: &str) -> Result<Self, MotorError> {
         let reader = Reader { file, text };
-        let root = DeTable::parse(text).map_err(|error| MotorError::Syntax {
-            file: file.into(),
-            line: reader.line(error.span().map_or(0, |span| span.start)),
-            message: error.message().to_owned(),
-        })?;
-        reader.motor(&root)
+        reader.motor(&reader.root()?)
     }
 
     /// A shipped motor by its name, and nothing else: a name in somebody's data must not open a file.
@@ -362,6 +384,21 @@ impl Motor {
         Self::parse(name_or_path, &text)
     }
 
+    /// The effects that a file of `[effects.NAME]` tables lists, written as in a motor file.
+    ///
+    /// # Errors
+    /// Names the key and the line of the first thing that will not do.
+    pub fn effects_of_file(path: &Path) -> Result<EffectSet, MotorError> {
+        let file = path.display().to_string();
+        let text = input::text(path, input::WRITTEN)
+            .map_err(|reason| MotorError::ReadEffects { file: file.clone(), reason })?;
+        let reader = Reader { file: &file, text: &text };
+        let root = reader.root()?;
+        reader.known("", root.get_ref(), &["effects"])?;
+        let listed = reader.effects(root.get_ref())?;
+        Ok(effect_set(&listed))
+    }
+
     /// The 30 mm PCBMotor.
     pub fn pcbmotor_30mm() -> Self {
         Self::shipped("pcbmotor-30mm").expect("the shipped file is checked by a test")
@@ -374,14 +411,7 @@ impl Motor {
 
     /// The effects the file lists.
     pub fn effects(&self) -> EffectSet {
-        let mut set = EffectSet::default();
-        for (name, values) in &self.effects {
-            // Both were checked when the file was read; what was put there since and will not do is left out.
-            if let Ok(info) = info(name) {
-                let _ = place(&mut set, info, values);
-            }
-        }
-        set
+        effect_set(&self.effects)
     }
 
     fn assemble(&self, flavour: Flavour) -> Parameters {

@@ -3,6 +3,9 @@ use super::driver_board::{DriverBoard, DriverHealth};
 use super::motor::{FirstOrderMotor, SimulatedMotor};
 use super::pins::{Pins, Stage};
 use super::wire::{Uart, Wire};
+use crate::model::effects::EffectSet;
+use crate::model::plant::Segment;
+use crate::model::sensor::Encoder;
 use embassy_futures::join::join4;
 use embedded_hal::digital::{ErrorType as PinErrorType, InputPin};
 use embedded_io_async::{ErrorType, Read, Write};
@@ -41,8 +44,12 @@ pub struct Setup {
     /// The rotor's angle within an encoder pitch at the start, as a fraction of the pitch in [0, 2): at 1 and above the
     /// encoder line starts high.
     pub start_pitch: f64,
+    /// What the board says it simulates: see [`super::Simulated`].
+    pub simulates: String,
     /// The motor.
     pub motor: Box<dyn SimulatedMotor>,
+    /// The encoder's own faults, if it has any.
+    pub encoder_effects: EffectSet,
     /// How well the driver board is.
     pub driver: DriverHealth,
     /// Why the board starts.
@@ -58,7 +65,9 @@ impl Default for Setup {
         Self {
             edges_per_rev: 400,
             start_pitch: 0.3,
+            simulates: "simulated simple".to_owned(),
             motor: Box::new(FirstOrderMotor::default()),
+            encoder_effects: EffectSet::default(),
             driver: DriverHealth::Well,
             reset: ResetCause::PowerOn,
             start_us: 0,
@@ -162,6 +171,14 @@ impl Watchdog for Feeder {
     }
 }
 
+/// As much of a text as the field holds.
+fn shortened<const N: usize>(text: &str) -> heapless::String<N> {
+    let mut out = heapless::String::new();
+    // What no longer fits is left out.
+    let _ = text.chars().try_for_each(|c| out.push(c));
+    out
+}
+
 type Tasks = Pin<Box<dyn Future<Output = ()>>>;
 
 /// The firmware's part of a board, from one boot to the next.
@@ -182,6 +199,7 @@ impl Firmware {
         driver: DriverUart,
         pin: EncoderPin,
         fed: Rc<Cell<u64>>,
+        simulates: &str,
         reset: ResetCause,
     ) -> Self {
         let output = Output::boot(stage);
@@ -191,7 +209,7 @@ impl Firmware {
         let (control_ends, edges, transmit_ends) = queues.split();
         let about = About {
             firmware: heapless::String::try_from(env!("CARGO_PKG_VERSION")).unwrap_or_default(),
-            chip: heapless::String::try_from("simulated").unwrap_or_default(),
+            chip: shortened(simulates),
             reset,
         };
         let receiver = uart.clone();
@@ -237,8 +255,8 @@ pub struct Board {
     driver_tx: Wire,
     driver: DriverBoard,
     motor: Box<dyn SimulatedMotor>,
-    edges_per_rev: f64,
-    start_pitch: f64,
+    encoder: Encoder,
+    simulates: String,
     angle_rad: f64,
     jitter: u64,
     late_us: u64,
@@ -254,14 +272,18 @@ impl Board {
     pub fn new(setup: Setup) -> Self {
         clock::reset(setup.start_us);
         let pins = Rc::new(RefCell::new(Pins::default()));
-        let encoder_level = Rc::new(Cell::new(setup.start_pitch.rem_euclid(2.0) >= 1.0));
+        let mut motor = setup.motor;
+        let angle_rad = motor.advance(0.0, false, Direction::Cw);
+        let pitch_rad = std::f64::consts::TAU / f64::from(setup.edges_per_rev);
+        let mut encoder = Encoder::new(setup.edges_per_rev, setup.start_pitch * pitch_rad, &setup.encoder_effects);
+        let there = Segment { end_rad: angle_rad, ..Segment::default() };
+        encoder.watch(&there, &mut |_| {});
+        let encoder_level = Rc::new(Cell::new(encoder.level()));
         let fed_us = Rc::new(Cell::new(setup.start_us));
         let (to_board, from_board) = (Wire::new(LINK_BAUD), Wire::new(LINK_BAUD));
         let (driver_rx, driver_tx) = (Wire::new(DRIVER_BAUD), Wire::new(DRIVER_BAUD));
         let wires = [&to_board, &from_board, &driver_rx, &driver_tx].map(Clone::clone);
-        let firmware = boot(&pins, &encoder_level, &fed_us, &wires, setup.reset);
-        let mut motor = setup.motor;
-        let angle_rad = motor.advance(0.0, false, Direction::Cw);
+        let firmware = boot(&pins, &encoder_level, &fed_us, &wires, &setup.simulates, setup.reset);
         Self {
             firmware,
             pins,
@@ -273,8 +295,8 @@ impl Board {
             driver_tx,
             driver: DriverBoard::new(setup.driver),
             motor,
-            edges_per_rev: f64::from(setup.edges_per_rev),
-            start_pitch: setup.start_pitch,
+            encoder,
+            simulates: setup.simulates,
             angle_rad,
             jitter: setup.jitter_seed,
             late_us: 0,
@@ -401,28 +423,25 @@ impl Board {
             let pins = self.pins.borrow();
             (pins.drive_on(now_us) && self.driver.hardware, pins.direction)
         };
-        let before = self.angle_rad;
+        let (duty, period_s) = self.pins.borrow().pwm();
+        self.motor.pwm(duty, period_s);
         let after = self.motor.advance((next_us - now_us) as f64 * 1e-6, drive_on, direction);
-        self.encode(before, after, now_us, next_us, direction);
+        self.encode(after, now_us, next_us, direction);
     }
 
-    /// The encoder's edges between two angles, with their times interpolated.
-    fn encode(&mut self, before: f64, after: f64, from_us: u64, to_us: u64, direction: Direction) {
+    /// The encoder's edges on the way to an angle, with their times interpolated.
+    fn encode(&mut self, after: f64, from_us: u64, to_us: u64, direction: Direction) {
+        let (start_rad, end_s) = (self.angle_rad, (to_us - from_us) as f64 * 1e-6);
+        let speed = if end_s > 0.0 { (after - start_rad) / end_s } else { 0.0 };
         self.angle_rad = after;
-        let pitches = |angle: f64| angle / std::f64::consts::TAU * self.edges_per_rev + self.start_pitch;
-        let (first, last) = (pitches(before), pitches(after));
-        let (from, to) = (first.floor() as i64, last.floor() as i64);
-        let crossed: Vec<i64> = if to > from { (from + 1..=to).collect() } else { (to + 1..=from).rev().collect() };
-        for boundary in crossed {
-            let share = ((boundary as f64 - first) / (last - first)).clamp(0.0, 1.0);
-            let time_us = from_us + (share * (to_us - from_us) as f64) as u64;
-            let above = if to > from { boundary } else { boundary - 1 };
-            let level = above.rem_euclid(2) == 1;
-            if !self.encoder_dead {
-                self.encoder_level.set(level);
-                self.firmware.interrupt.edge(level, direction, time_us as u32);
+        let way = Segment { start_s: 0.0, end_s, start_rad, end_rad: after, start_rad_s: speed, end_rad_s: speed };
+        let (interrupt, level, dead) = (&mut self.firmware.interrupt, &self.encoder_level, self.encoder_dead);
+        self.encoder.watch(&way, &mut |edge| {
+            if !dead {
+                level.set(edge.level);
+                interrupt.edge(edge.level, direction, (from_us + (edge.time_s * 1e6) as u64) as u32);
             }
-        }
+        });
     }
 
     fn turn_driver(&mut self, now_us: u64) {
@@ -431,7 +450,7 @@ impl Board {
         if nudge_rad != 0.0 {
             self.motor.nudge(nudge_rad);
             let after = self.motor.advance(0.0, false, Direction::Cw);
-            self.encode(self.angle_rad, after, now_us, now_us, Direction::Cw);
+            self.encode(after, now_us, now_us, Direction::Cw);
         }
     }
 
@@ -474,7 +493,7 @@ impl Board {
         clock::forget_timers();
         self.fed_us.set(clock::now_us());
         let wires = [&self.to_board, &self.from_board, &self.driver_rx, &self.driver_tx].map(Clone::clone);
-        self.firmware = boot(&self.pins, &self.encoder_level, &self.fed_us, &wires, reset);
+        self.firmware = boot(&self.pins, &self.encoder_level, &self.fed_us, &wires, &self.simulates, reset);
         self.pins.borrow_mut().hardware = false;
     }
 }
@@ -484,6 +503,7 @@ fn boot(
     level: &Rc<Cell<bool>>,
     fed_us: &Rc<Cell<u64>>,
     [to_board, from_board, driver_rx, driver_tx]: &[Wire; 4],
+    simulates: &str,
     reset: ResetCause,
 ) -> Firmware {
     let uart = Uart { rx: to_board.clone(), tx: from_board.clone() };
@@ -494,6 +514,7 @@ fn boot(
         DriverUart { uart: driver_uart, pins: pins.clone() },
         EncoderPin(level.clone()),
         fed_us.clone(),
+        simulates,
         reset,
     )
 }

@@ -6,10 +6,12 @@
 mod board;
 pub mod clock;
 mod driver_board;
+mod hybrid;
 mod motor;
 mod pins;
 mod wire;
 
 pub use board::{Board, Disturbance, Setup};
 pub use driver_board::DriverHealth;
-pub use motor::{FirstOrderMotor, PlantMotor, SimulatedMotor};
+pub use hybrid::{HybridMotor, NotOnABoard, Simulated};
+pub use motor::{FirstOrderMotor, SimulatedMotor};

@@ -47,6 +47,12 @@ impl Pins {
         }
     }
 
+    /// The running period's duty, and its length (s).
+    pub fn pwm(&self) -> (f64, f64) {
+        let period_s = self.period_us as f64 * 1e-6;
+        (f64::from(self.duty.on_counts(self.period_us as u32)) / self.period_us as f64, period_s)
+    }
+
     /// Whether the drive is on at `now_us`, after [`Pins::turn`].
     pub fn drive_on(&self, now_us: u64) -> bool {
         self.hardware && !self.duty.is_off() && now_us >= self.on_from_us()
