@@ -102,6 +102,49 @@ fn velocity_finds_mean_drift_and_ripple() {
     assert!(String::from_utf8(missing.stderr).unwrap().contains("no run other; it has: ripple, steady"));
 }
 
+/// What one command says of a run, every other says of it: no figure has two values.
+#[test]
+fn commands_agree_on_the_figures_of_a_run() {
+    let dir = tempfile::tempdir().unwrap();
+    // Rises within 20 ms, 35.05 rpm until the drive ends at 2 s, brakes for 50 ms, stands for another second.
+    let rpm = |t: f64, _: f64| match t {
+        t if t < 0.02 => 0.0,
+        t if t < 2.0 => 35.05 * (1.0 - (-(t - 0.02) / 0.015).exp()),
+        t if t < 2.05 => 35.05 * (1.0 - (t - 2.0) / 0.05),
+        _ => 0.0,
+    };
+    let run = speed_run("run", 1.0).replace("drive_on_s = 4.0", "drive_on_s = 2.0");
+    write(dir.path(), &run, &[("run.csv", levels(3.0, rpm))]);
+    let velocity = json(&twum(dir.path(), &["velocity", ".", "--json", "--run", "run", "--plot", "v.svg"]))[0].clone();
+    assert!((number(&velocity["mean_rpm"]) + 35.05).abs() < 0.01, "{velocity}");
+    assert!(
+        number(&velocity["drift_rpm_per_s"]).abs() < 0.05 && number(&velocity["ripple_rpm"][0]) < 0.1,
+        "{velocity}"
+    );
+    assert!((number(&velocity["stop_s"]) - 0.0475).abs() < 0.02, "{velocity}");
+    assert!((number(&velocity["coast_deg"]) - 0.5 * 35.05 * 6.0 * 0.05).abs() < 1.0, "{velocity}");
+
+    let compare = json(&twum(dir.path(), &["compare", ".", "--json", "--plot", "c.svg", "--report", "c.html"]));
+    let measured = &compare["simulation"]["runs"][0]["measured"];
+    // The direction is ccw, which velocity signs and compare takes as forwards.
+    for key in ["mean_rpm", "start_peak_rpm"] {
+        assert_eq!(number(&velocity[key]), -number(&measured[key]), "{key}");
+    }
+    for key in ["rise_s", "stop_s", "overshoot", "coast_deg"] {
+        assert_eq!(velocity[key], measured[key], "{key}");
+    }
+    assert_eq!(measured["settled_rpm"], measured["mean_rpm"]);
+
+    let shown = |decimals: usize| format!("{:.decimals$}", -number(&velocity["mean_rpm"]));
+    let text = |args: &[&str]| String::from_utf8(twum(dir.path(), args).stdout).unwrap();
+    assert!(text(&["velocity", "."]).contains(&format!("-{}", shown(3))));
+    assert!(text(&["compare", "."]).contains(&shown(3)));
+    let file = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
+    assert!(file("v.svg").contains(&format!("mean \u{2212}{} rpm settled", shown(2))));
+    assert!(file("c.svg").contains(&format!("mean \u{2212}{} rpm settled", shown(2))));
+    assert!(file("c.html").contains(&shown(3)));
+}
+
 #[test]
 fn compare_tells_by_how_much_the_simulation_is_off() {
     let dir = tempfile::tempdir().unwrap();
