@@ -81,8 +81,9 @@ fn velocity_finds_mean_drift_and_ripple() {
     assert!((number(&ripple["drift_rpm_per_s"]) - 0.8).abs() < 0.03, "{ripple}");
     assert!((number(&ripple["ripple_rpm"][1]) - 4.0).abs() < 0.1, "{ripple}");
     assert!(number(&ripple["ripple_rpm"][0]) < 0.1 && number(&ripple["ripple_r2"]) > 0.99, "{ripple}");
-    let mean_rpm = ((34.4_f64).powi(2) - 16.0).sqrt();
-    assert!((number(&ripple["mean_rpm"]) + mean_rpm).abs() < 0.15, "{ripple}");
+    // Settled from 0.2 s on, 34.32 rpm in the middle; the 2.15 turns leave a part of the ripple in the mean.
+    let mean_rpm = ((34.32_f64).powi(2) - 16.0).sqrt();
+    assert!((number(&ripple["mean_rpm"]) + mean_rpm).abs() < 0.25, "{ripple}");
     assert!((number(&steady["mean_rpm"]) + 30.9).abs() < 0.03, "{steady}");
     assert!((number(&steady["duration_s"]) - 3.999).abs() < 1e-9, "{steady}");
     // 30.9 rpm over 4 s at 400 edges a turn.
@@ -277,9 +278,8 @@ fn both_read_recordings() {
     let found = json(&run(&["compare", "track.mcap", "--json"]))["closed_loops"][0].clone();
     assert_eq!(found["controller"]["mismatched"].as_u64(), Some(0), "{found}");
     assert_eq!(number(&found["actuator"]["duty_rms"]), 0.0, "{found}");
-    // The simulated board's motor starts with a time constant of 6 ms, the replayed one within a millisecond or two: only the
-    // plant's residual shows it.
-    assert!((0.5..0.9).contains(&number(&found["plant"]["gain"])), "{found}");
+    // The simulated board's motor is the one that is replayed.
+    assert!((0.95..1.05).contains(&number(&found["plant"]["gain"])), "{found}");
     assert_eq!(number(&found["sensor"]["largest_jump"]), 1.0, "{found}");
 }
 

@@ -1,5 +1,6 @@
 //! Arguments every command that talks to a board shares.
 
+use super::config;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -9,15 +10,16 @@ use twum_host::link::{Port, Received, SerialLink, Session, SimulatedLink};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::record::measurement::ControlSpec;
+use twum_host::report::run::RunFigures;
 use twum_host::sim::{Setup, Simulated};
 use twum_shared::message::{CaptureMode, Configuration, RunEnd};
 
 /// Which board, and how to reach it.
 #[derive(Debug, clap::Args)]
 pub struct ConnectArgs {
-    /// Serial port or pseudo-terminal, or `sim` for a simulated board in memory
+    /// Serial port or pseudo-terminal, or `sim` for a simulated board in memory [default: that of `twum config`]
     #[arg(long, short, env = "TWUM_PORT")]
-    port: String,
+    port: Option<String>,
     /// Reset the board through RTS when the port is opened
     #[arg(long)]
     reset: bool,
@@ -44,20 +46,25 @@ impl MotorArgs {
     /// The board to simulate.
     pub fn simulated(&self) -> Result<Setup> {
         let hidden = self.effects.as_deref().map(Motor::effects_of_file).transpose()?.unwrap_or_default();
-        let name = self.motor.as_deref().unwrap_or(DEFAULT_MOTOR);
+        let name = self.asked()?.unwrap_or_else(|| DEFAULT_MOTOR.to_owned());
         if name == SIMPLE {
             if self.flavour.is_some() || self.effects.is_some() {
                 bail!("the motor `{SIMPLE}` has neither flavours nor effects");
             }
             return Ok(Setup::simple());
         }
-        Ok(Setup::hybrid(&Motor::load(name)?, self.flavour.unwrap_or_default(), &hidden)?)
+        Ok(Setup::hybrid(&Motor::load(&name)?, self.flavour.unwrap_or_default(), &hidden)?)
+    }
+
+    /// The motor of the command line, or else of the user's own defaults.
+    fn asked(&self) -> Result<Option<String>> {
+        Ok(self.motor.clone().or(config::load()?.motor))
     }
 
     /// The motor that goes into the recording: the one asked for, which a simulated board must not contradict.
     fn recorded(&self, chip: &str) -> Result<String> {
         let simulated = Simulated::parse(chip);
-        let Some(asked) = &self.motor else {
+        let Some(asked) = &self.asked()? else {
             return Ok(simulated.map_or_else(|| DEFAULT_MOTOR.to_owned(), |it| it.motor));
         };
         let name = if asked == SIMPLE { SIMPLE.to_owned() } else { Motor::load(asked)?.name };
@@ -90,13 +97,26 @@ pub fn catch_interrupts() -> Result<()> {
 
 impl ConnectArgs {
     fn open(&self) -> Result<Box<dyn Port>> {
-        if self.port == "sim" {
+        let port = self.port()?;
+        if port == "sim" {
             return Ok(Box::new(SimulatedLink::new(self.motor.simulated()?)));
         }
         if self.motor.flavour.is_some() || self.motor.effects.is_some() {
             bail!("--flavour and --effects are of a simulated motor: give them to `twum sim`, or with --port sim");
         }
-        Ok(Box::new(SerialLink::open(&self.port, self.reset)?))
+        Ok(Box::new(SerialLink::open(&port, self.reset)?))
+    }
+
+    fn port(&self) -> Result<String> {
+        let known = self.port.clone().or(config::load()?.port);
+        known.context(
+            "no port: give --port, set TWUM_PORT, or set it in the file of `twum config path` (`sim` needs no board)",
+        )
+    }
+
+    /// Whether the port was given on the command line, or at least is not the environment's.
+    pub fn is_explicit(&self) -> bool {
+        self.port.is_some() && std::env::var("TWUM_PORT").ok() != self.port
     }
 
     /// Opens the port and a session that Ctrl-C interrupts.
@@ -116,7 +136,8 @@ impl ConnectArgs {
     pub fn perform(&self, mut experiment: Experiment, observe: impl FnMut(&Received)) -> Result<Outcome> {
         let mut session = self.session()?;
         experiment.motor = self.motor(&mut session)?;
-        let mut reopen = || SerialLink::open(&self.port, self.reset).map(|port| Box::new(port) as Box<dyn Port>);
+        let port = self.port()?;
+        let mut reopen = || SerialLink::open(&port, self.reset).map(|port| Box::new(port) as Box<dyn Port>);
         Ok(perform(&mut session, &experiment, Some(&mut reopen), observe)?)
     }
 }
@@ -124,22 +145,30 @@ impl ConnectArgs {
 /// How to run the motor.
 #[derive(Debug, clap::Args)]
 pub struct ConfigurationArgs {
-    /// Controller: `thesis`, `default`, or a TOML file of gains
-    #[arg(long, default_value = "default")]
-    control: String,
-    /// Encoder edges a revolution
-    #[arg(long, default_value_t = 400)]
-    edges_per_rev: u16,
-    /// PWM frequency, Hz
-    #[arg(long, default_value_t = 50)]
-    pwm_hz: u16,
+    /// Controller: `thesis`, `default`, or a TOML file of gains [default: default]
+    #[arg(long)]
+    control: Option<String>,
+    /// Encoder edges a revolution [default: 400]
+    #[arg(long)]
+    edges_per_rev: Option<u16>,
+    /// PWM frequency, Hz [default: 50]
+    #[arg(long)]
+    pwm_hz: Option<u16>,
 }
 
 impl ConfigurationArgs {
+    /// Encoder edges a revolution.
+    pub fn edges_per_rev(&self) -> Result<u16> {
+        Ok(self.edges_per_rev.or(config::load()?.edges_per_rev).unwrap_or(400))
+    }
+
     /// The configuration the device gets.
     pub fn configuration(&self) -> Result<Configuration> {
-        let control = ControlSpec::named(&self.control)?.config()?;
-        let (edges_per_rev, pwm_hz) = (self.edges_per_rev, self.pwm_hz);
+        let own = config::load()?;
+        let named = self.control.as_ref().or(own.control.as_ref());
+        let control = ControlSpec::named(named.map_or("default", |name| name))?.config()?;
+        let edges_per_rev = self.edges_per_rev()?;
+        let pwm_hz = self.pwm_hz.or(own.pwm_hz).unwrap_or(50);
         Ok(Configuration { edges_per_rev, pwm_hz, ..Configuration::with_control(control) })
     }
 }
@@ -160,7 +189,7 @@ pub struct RecordArgs {
 
 impl RecordArgs {
     /// Prints how it went; the exit code is 1 for a fault or an unforgiven loss.
-    pub fn conclude(&self, outcome: &Outcome) -> Result<ExitCode> {
+    pub fn conclude(&self, outcome: &Outcome, motor: Option<&RunFigures>) -> Result<ExitCode> {
         let end = outcome.run.map(|run| run.end);
         let seconds = outcome.run.map(|run| run.end_us.saturating_sub(run.start_us) as f64 * 1e-6);
         let tally = outcome.tally;
@@ -173,10 +202,13 @@ impl RecordArgs {
                 "{}",
                 serde_json::json!({
                     "interrupted": outcome.interrupted, "fault": fault, "run_s": seconds, "link": tally,
-                    "recorded_frames": outcome.recorded, "recording": self.out,
+                    "recorded_frames": outcome.recorded, "recording": self.out, "motor": motor,
                 })
             );
         } else {
+            if let Some(motor) = motor {
+                print!("{motor}");
+            }
             println!(
                 "frames: {} received, {} lost, {} bad; longest gap {} frames; {} restarts, {} reconnects",
                 tally.received, tally.lost, tally.bad, tally.longest_gap, tally.restarts, tally.reconnects
@@ -184,6 +216,9 @@ impl RecordArgs {
             if let Some(path) = &self.out {
                 println!("recorded {} frames in {}", outcome.recorded, path.display());
             }
+        }
+        for warning in motor.map(RunFigures::warnings).into_iter().flatten() {
+            eprintln!("warning: {warning}");
         }
         match end {
             Some(RunEnd::Fault(fault)) => {

@@ -40,5 +40,5 @@ pub fn run(args: Args) -> Result<ExitCode> {
             let _ = std::io::stdout().write_all(bytes);
         }
     })?;
-    args.record.conclude(&outcome)
+    args.record.conclude(&outcome, None)
 }

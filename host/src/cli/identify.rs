@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use twum_host::identify::{figures, force_factor, friction, read, save, stator};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
-use twum_host::record::measurement::Measurement;
+use twum_host::record::load::load_runs;
 
 /// Arguments of `twum identify`.
 #[derive(Debug, clap::Args)]
@@ -216,7 +216,10 @@ fn run_friction(args: Friction) -> Result<ExitCode> {
 }
 
 fn run_force_factor(args: ForceFactor) -> Result<ExitCode> {
-    let measurement = Measurement::load(&args.folder)?;
+    let (measurement, notes) = load_runs(&args.folder)?;
+    for note in notes {
+        eprintln!("note: {note}");
+    }
     let motor = Motor::load(&args.save.motor)?;
     let mut torque = force_factor::TorqueRuns::default();
     for row in args.loaded {

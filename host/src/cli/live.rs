@@ -44,10 +44,9 @@ With --foxglove the same values are served to Foxglove (\"Open connection\", \"F
   twum live sine.mcap --foxglove=9000 > /dev/null     without the screen, until Ctrl-C")]
 pub struct Args {
     /// Recording to follow while it is made
-    #[arg(required_unless_present = "port", conflicts_with = "port")]
     recording: Option<PathBuf>,
     #[command(flatten)]
-    connect: Option<ConnectArgs>,
+    connect: ConnectArgs,
     #[command(flatten)]
     record: RecordArgs,
     /// Print one screen of what the recording holds now, without a terminal
@@ -67,14 +66,16 @@ pub struct Args {
 
 /// Runs `twum live`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    match (&args.recording, &args.connect) {
-        (Some(recording), _) if args.once => print_once(recording),
+    if let Some(recording) = args.recording.as_ref().filter(|_| args.connect.is_explicit()) {
+        bail!("{} or --port: a recording is followed, a port is watched; not both", recording.display());
+    }
+    match &args.recording {
+        Some(recording) if args.once => print_once(recording),
         _ if !std::io::stdout().is_terminal() && args.foxglove.is_none() => {
             bail!("this view needs a terminal; `--once` prints one screen of a recording, `--foxglove` serves it")
         }
-        (Some(recording), _) => follow(recording, Screen::new(args.foxglove)?),
-        (None, Some(connect)) => watch(connect, &args.record, Screen::new(args.foxglove)?),
-        (None, None) => bail!("give a recording to follow, or --port"),
+        Some(recording) => follow(recording, Screen::new(args.foxglove)?),
+        None => watch(&args.connect, &args.record, Screen::new(args.foxglove)?),
     }
 }
 
@@ -180,7 +181,7 @@ fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<E
     // Being told to end is how a view ends.
     let outcome = Outcome { interrupted: false, ..outcome? };
     drawn?;
-    record.conclude(&outcome)
+    record.conclude(&outcome, None)
 }
 
 fn show_received(receiver: &Receiver<Received>, mut screen: Screen) -> Result<()> {

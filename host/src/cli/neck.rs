@@ -31,7 +31,7 @@ Examples:
   twum neck                                          the thesis's three exercises, beside its Table 5.6
   twum neck --flavour thesis                         ... as the thesis had them: its model and its controller
   twum neck --exercise rotation --json
-  twum neck --figure neck.png --page neck.html --mcap neck.mcap
+  twum neck --plot neck.png --report neck.html --mcap neck.mcap
   twum neck --disturbance-deg 8 --disturbance-hz 0.5 --disturbance-joints 2
   twum neck --exercise flexion-extension --head-kg 0.05 --head-centre 0.12
   twum neck exercises flexion-extension > mine.toml  a file to start one's own from
@@ -107,10 +107,10 @@ struct RunArgs {
     #[arg(long)]
     json: bool,
     /// Draw trajectories and errors, as .svg or .png
-    #[arg(long, value_name = "FILE")]
+    #[arg(long = "plot", alias = "figure", value_name = "FILE")]
     figure: Option<PathBuf>,
     /// Write a page that plays the exercises in three dimensions, without a network
-    #[arg(long, value_name = "FILE.html")]
+    #[arg(long = "report", alias = "page", value_name = "FILE.html")]
     page: Option<PathBuf>,
     /// Write an MCAP file with frame transforms, for Foxglove
     #[arg(long, value_name = "FILE.mcap")]

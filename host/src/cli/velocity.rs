@@ -2,15 +2,14 @@
 
 use super::output::print_table;
 use anyhow::{Context, Result, bail};
-use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, Run};
+use twum_host::report::run::SpeedFigures;
 use twum_host::report::speed::{Simulated, figure, overview};
-use twum_host::signal::course::Course;
-use twum_host::signal::run::{EncoderErrors, Method, Motion, Options, Step, motion, thesis_steps};
+use twum_host::signal::run::{Method, Motion, Options, Step, motion, thesis_steps};
 use twum_host::signal::score::score;
 use twum_host::signal::trial::{Encoder, Motion as Motions};
 use twum_host::signal::window::Order;
@@ -132,7 +131,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     if let Some(plot) = &args.plot {
         draw(plot, &measurement, &runs, &motions, args.simulated_rpm)?;
     }
-    let summaries: Vec<Summary> = runs.iter().zip(&motions).map(|(run, motion)| Summary::new(run, motion)).collect();
+    let summaries: Vec<SpeedFigures> =
+        runs.iter().zip(&motions).map(|(run, motion)| SpeedFigures::of(run, motion)).collect();
     match &args.csv {
         Some(csv) => write_motions(csv, &runs, &motions)?,
         None if args.json => println!("{}", serde_json::to_string_pretty(&summaries)?),
@@ -166,49 +166,7 @@ fn draw(path: &Path, measurement: &Measurement, runs: &[&Run], motions: &[Motion
     Ok(())
 }
 
-/// What is said of one run.
-#[derive(Debug, Serialize)]
-struct Summary {
-    id: String,
-    duty: Option<f64>,
-    duration_s: f64,
-    edges: usize,
-    #[serde(flatten)]
-    course: Course,
-    speed_sd_rpm: Option<f64>,
-    drift_rpm_per_s: Option<f64>,
-    ripple_rpm: Option<[f64; twum_host::signal::turn::ORDERS]>,
-    ripple_r2: Option<f64>,
-    turns: Option<f64>,
-    encoder: Option<EncoderErrors>,
-}
-
-impl Summary {
-    fn new(run: &Run, motion: &Motion) -> Self {
-        let course = Course::of(motion, run.drive_on_s);
-        let fit = course.fit.clone();
-        let ends = motion.time_us.first().zip(motion.time_us.last());
-        let variance = motion.speed_sd_rpm.as_ref().and_then(|sd| {
-            let settled = &sd[course.settled.clone()];
-            (!settled.is_empty()).then(|| settled.iter().map(|v| v * v).sum::<f64>() / settled.len() as f64)
-        });
-        Self {
-            id: run.id.clone(),
-            duty: run.duty,
-            duration_s: ends.map_or(0.0, |(from, to)| (to - from) * 1e-6),
-            edges: motion.edges,
-            speed_sd_rpm: variance.map(f64::sqrt),
-            drift_rpm_per_s: fit.as_ref().map(|f| f.drift_rpm_per_s),
-            ripple_rpm: fit.as_ref().map(|f| f.amplitude_rpm),
-            ripple_r2: fit.as_ref().map(|f| f.r2),
-            turns: fit.as_ref().map(|f| f.turns),
-            course,
-            encoder: motion.encoder,
-        }
-    }
-}
-
-fn print_summaries(summaries: &[Summary]) {
+fn print_summaries(summaries: &[SpeedFigures]) {
     let shown = |v: Option<f64>, decimals: usize| v.map_or("-".to_owned(), |v| format!("{v:.decimals$}"));
     let ms = |v: Option<f64>| shown(v.map(|v| v * 1e3), 0);
     let rows: Vec<Vec<String>> = summaries
