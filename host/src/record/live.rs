@@ -166,7 +166,23 @@ impl LiveView {
         }
     }
 
-    fn degrees(&self, counts: i32) -> f64 {
+    /// Wanted position in counts from the board's zero, in a closed loop.
+    pub fn target(&self) -> Option<i32> {
+        self.target
+    }
+
+    /// Position in counts from the board's zero.
+    pub fn position(&self) -> i32 {
+        self.position
+    }
+
+    /// Signed fraction of the PWM period with drive on.
+    pub fn duty(&self) -> f64 {
+        self.duty
+    }
+
+    /// Counts as degrees.
+    pub fn degrees(&self, counts: i32) -> f64 {
         f64::from(counts) * 360.0 / f64::from(self.edges_per_rev.unwrap_or(400).max(1))
     }
 

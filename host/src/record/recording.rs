@@ -180,7 +180,9 @@ impl EventKind {
             Self::Hello(identity) => {
                 ("hello", format!("{} on {}, reset: {:?}", identity.firmware, identity.chip, identity.reset))
             }
-            Self::Configured(configuration) => ("configured", format!("{configuration:?}")),
+            Self::Configured(configuration) => {
+                ("configured", serde_json::to_string(configuration).unwrap_or_else(|_| format!("{configuration:?}")))
+            }
             Self::Aligned => ("aligned", String::new()),
             Self::RunStarted => ("run-started", String::new()),
             Self::RunEnded(end) => ("run-ended", format!("{end:?}")),
