@@ -346,3 +346,37 @@ fn errors_name_their_cause_once() {
     fails(&["velocity", ".", "--period-us", "1e-9"], "are the most: take a longer period");
     fails(&["velocity", ".", "--method", "thesis-butterworth", "--csv", "nowhere/a.csv"], "No such file or directory");
 }
+
+/// A recording plots as it is: a public MCAP reader finds the motion in it, with its schema, equal to what the frames say.
+#[test]
+fn recordings_hold_the_motion_for_other_programs() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = ["track", "--port", "sim", "--seconds", "4", "--out", "track.mcap", "--json"];
+    let said = json(&twum(dir.path(), &args));
+    let bytes = std::fs::read(dir.path().join("track.mcap")).unwrap();
+    let mut motion: Vec<Value> = Vec::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        if message.channel.topic == "/twum/motion" {
+            let schema = message.channel.schema.as_ref().expect("the channel has a schema");
+            let properties: Value = serde_json::from_slice(&schema.data).unwrap();
+            assert_eq!((schema.name.as_str(), schema.encoding.as_str()), ("twum.Motion", "jsonschema"));
+            let one: Value = serde_json::from_slice(&message.data).unwrap();
+            let known = one.as_object().unwrap().keys().all(|key| properties["properties"].get(key).is_some());
+            assert!(known, "{one}");
+            motion.push(one);
+        }
+    }
+    let tracked: Vec<&Value> = motion.iter().filter(|m| m.get("error_deg").is_some()).collect();
+    // 2000 ticks a second in blocks of 16.
+    assert!((480..=510).contains(&tracked.len()), "{}", tracked.len());
+    for m in &tracked {
+        let off = number(&m["target_deg"]) - number(&m["position_deg"]) - number(&m["error_deg"]);
+        assert!(off.abs() < 2e-3, "{m}");
+        assert!((number(&m["position"]) * 0.9 - number(&m["position_deg"])).abs() < 1e-3, "{m}");
+    }
+    let mean = tracked.iter().map(|m| number(&m["error_deg"]).abs()).sum::<f64>() / tracked.len() as f64;
+    let of_all = number(&said["motor"]["mean_abs_deg"]);
+    assert!((mean / of_all - 1.0).abs() < 0.1, "{mean} of every block's last tick, {of_all} of all ticks");
+    assert!(tracked.iter().any(|m| number(&m["speed_rpm"]).abs() > 5.0));
+}

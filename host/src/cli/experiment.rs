@@ -2,7 +2,8 @@
 
 use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms};
 use super::diagnose::{motor_of, runs_of};
-use anyhow::{Context, Result, bail};
+use super::units;
+use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -11,9 +12,7 @@ use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Options, diagnose};
 use twum_host::link::bench::{Action, Experiment, perform};
 use twum_host::model::parameters::Flavour;
-use twum_host::record::export::{EncoderSource, to_measurement};
-use twum_host::record::measurement::Measurement;
-use twum_host::record::recording::Recording;
+use twum_host::record::series::{Series, SeriesError, SeriesRun};
 use twum_shared::message::SpeedRun;
 use twum_shared::{Direction, Duty};
 
@@ -32,18 +31,23 @@ enum What {
     Run(RunArgs),
 }
 
+/// A first experiment: every tenth of the duty, thrice, long enough for three turns at full drive.
+const DUTIES: &str = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0";
+const TRIALS: usize = 3;
+const SECONDS: f64 = 5.0;
+
 #[derive(Debug, clap::Args)]
 struct Wanted {
     /// Folders measured so far; without any, a first experiment is planned
     folders: Vec<PathBuf>,
     /// Duties of a first experiment
-    #[arg(long, value_delimiter = ',', default_value = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0")]
-    duties: Vec<f64>,
+    #[arg(long, value_delimiter = ',', default_value = DUTIES)]
+    duties: Vec<String>,
     /// Repetitions of each duty and direction in a first experiment
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = TRIALS)]
     trials: usize,
     /// Length of each run of a first experiment, s
-    #[arg(long, default_value_t = 5.0)]
+    #[arg(long, default_value_t = SECONDS)]
     seconds: f64,
 }
 
@@ -72,9 +76,12 @@ struct RunArgs {
     connect: ConnectArgs,
     #[command(flatten)]
     configuration: ConfigurationArgs,
-    /// New folder: recordings and the measurement made of them
+    /// New folder: the plan, the recordings, and the measurement made of them
     #[arg(long, short)]
     out: PathBuf,
+    /// Go on with the folder's own plan, with the runs that are not finished
+    #[arg(long)]
+    resume: bool,
 }
 
 /// Runs `twum experiment`.
@@ -86,11 +93,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
 }
 
 fn planned(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
-    if let Some(duty) = wanted.duties.iter().find(|d| !(0.0..=1.0).contains(*d)) {
-        bail!("--duties: {duty} is outside 0 to 1");
-    }
+    let duties = wanted.duties.iter().map(|d| units::duty(d)).collect::<Result<Vec<_>>>().context("--duties")?;
     if wanted.folders.is_empty() {
-        return Ok(first_experiment(&wanted.duties, wanted.trials, wanted.seconds, 50.0));
+        return Ok(first_experiment(&duties, wanted.trials, wanted.seconds, 50.0));
     }
     let mut measurements = Vec::new();
     for folder in &wanted.folders {
@@ -129,75 +134,95 @@ fn plan(args: &PlanArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// The plan as the folder keeps it.
+fn series_of(runs: &[PlannedRun]) -> Vec<SeriesRun> {
+    let run = |(number, run): (usize, &PlannedRun)| SeriesRun {
+        id: run.id(number),
+        duty: run.duty,
+        direction: run.direction.to_owned(),
+        pwm_hz: run.pwm_hz,
+        seconds: run.seconds,
+        pause_s: run.pause_s,
+        why: run.why.clone(),
+    };
+    runs.iter().enumerate().map(run).collect()
+}
+
+impl Wanted {
+    /// Whether a plan is asked for; none is when all is left as it is by default.
+    fn is_default(&self) -> bool {
+        self.folders.is_empty() && self.duties.join(",") == DUTIES && self.trials == TRIALS && self.seconds == SECONDS
+    }
+}
+
 fn make(args: &RunArgs) -> Result<ExitCode> {
-    let runs = planned(&args.wanted)?;
-    if runs.is_empty() {
-        eprintln!("nothing is open that another run would decide");
-        return Ok(ExitCode::SUCCESS);
+    let series = if args.resume {
+        let asked = if args.wanted.is_default() { None } else { Some(series_of(&planned(&args.wanted)?)) };
+        Series::resume(&args.out, asked.as_deref())?
+    } else {
+        if args.out.exists() {
+            return Err(SeriesError::Exists(args.out.clone()).into());
+        }
+        let runs = planned(&args.wanted)?;
+        if runs.is_empty() {
+            eprintln!("nothing is open that another run would decide");
+            return Ok(ExitCode::SUCCESS);
+        }
+        Series::begin(&args.out, series_of(&runs))?
+    };
+    let made = perform_all(args, &series);
+    // However it ended, what was made to its end becomes a measurement.
+    let (saved, notes) = series.measure()?;
+    notes.iter().for_each(|note| eprintln!("{note}"));
+    if let Some(saved) = &saved {
+        println!("{}", saved.folder.display());
+        eprintln!("{} of {} runs; next: twum diagnose {}", saved.runs.len(), series.runs().len(), args.out.display());
     }
-    if args.out.exists() {
-        bail!("{} exists already: name a new folder", args.out.display());
+    match made? {
+        true => Ok(ExitCode::SUCCESS),
+        false => {
+            eprintln!("interrupted; `twum experiment run --resume --out {}` goes on", args.out.display());
+            Ok(ExitCode::from(130))
+        }
     }
-    let recordings = args.out.join("recordings");
-    std::fs::create_dir_all(&recordings).with_context(|| format!("making {}", recordings.display()))?;
+}
+
+/// Makes the runs that are not made yet; false when interrupted.
+fn perform_all(args: &RunArgs, series: &Series) -> Result<bool> {
+    let runs = series.runs();
     let bar = ProgressBar::new(runs.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
     let mut session = args.connect.session()?;
     let motor = args.connect.motor(&mut session)?;
-    let mut whole: Option<Measurement> = None;
-    for (number, planned) in runs.iter().enumerate() {
-        let id = planned.id(number);
-        bar.set_message(id.clone());
-        if planned.pause_s > 0.0 {
-            std::thread::sleep(Duration::from_secs_f64(planned.pause_s));
+    for run in runs {
+        bar.set_message(run.id.clone());
+        if series.is_made(run)? {
+            bar.inc(1);
+            continue;
         }
-        let path = recordings.join(format!("{id}.mcap"));
+        if run.pause_s > 0.0 {
+            std::thread::sleep(Duration::from_secs_f64(run.pause_s));
+        }
         let mut configuration = args.configuration.configuration()?;
-        configuration.pwm_hz = planned.pwm_hz.round() as u16;
+        configuration.pwm_hz = run.pwm_hz.round() as u16;
         let experiment = Experiment {
             configuration: Some(configuration),
             capture: ALL_STREAMS,
             action: Action::Speed(SpeedRun {
-                duty: Duty::try_from((planned.duty * f64::from(Duty::FULL.raw())).round() as u16)?,
-                direction: if planned.direction == "cw" { Direction::Cw } else { Direction::Ccw },
-                duration_ms: duration_ms(planned.seconds)?,
+                duty: Duty::try_from((run.duty * f64::from(Duty::FULL.raw())).round() as u16)?,
+                direction: if run.direction == "cw" { Direction::Cw } else { Direction::Ccw },
+                duration_ms: duration_ms(run.seconds)?,
             }),
-            recording: Some(path.clone()),
+            recording: Some(series.recording(run)),
             motor: motor.clone(),
         };
-        let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
+        let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {}", run.id))?;
         if outcome.interrupted {
             bar.abandon();
-            eprintln!(
-                "interrupted after {number} of {} runs; {} keeps what was recorded",
-                runs.len(),
-                recordings.display()
-            );
-            return Ok(ExitCode::from(130));
-        }
-        let recording = Recording::load(&path)?;
-        let (measurement, notes) = to_measurement(&recording, &id, EncoderSource::Edges)?;
-        for note in notes {
-            eprintln!("{id}: {note}");
-        }
-        let whole = whole.get_or_insert_with(|| Measurement {
-            name: args.out.file_name().map_or_else(Default::default, |n| n.to_string_lossy().into_owned()),
-            runs: Vec::new(),
-            ..measurement.clone()
-        });
-        for (part, mut run) in measurement.runs.into_iter().enumerate() {
-            run.id = if part == 0 { id.clone() } else { format!("{id}-{part}") };
-            run.file = format!("{}.csv", run.id);
-            run.order = Some(number as u32);
-            whole.runs.push(run);
+            return Ok(false);
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
-    if let Some(whole) = whole {
-        let saved = whole.save(args.out.join("measurement"))?;
-        println!("{}", saved.folder.display());
-        eprintln!("{} runs; next: twum diagnose {}", saved.runs.len(), saved.folder.display());
-    }
-    Ok(ExitCode::SUCCESS)
+    Ok(true)
 }

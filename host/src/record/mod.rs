@@ -10,6 +10,7 @@ pub mod load;
 pub mod measurement;
 pub mod plot;
 pub mod recording;
+pub mod series;
 pub mod store;
 
 #[cfg(test)]
