@@ -9,6 +9,7 @@ use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, Run};
 use twum_host::report::run::SpeedFigures;
 use twum_host::report::speed::{Simulated, figure, overview};
+use twum_host::signal::course::Drive;
 use twum_host::signal::run::{Method, Motion, Options, Step, motion, thesis_steps};
 use twum_host::signal::score::score;
 use twum_host::signal::trial::{Encoder, Motion as Motions};
@@ -155,7 +156,7 @@ fn draw(path: &Path, measurement: &Measurement, runs: &[&Run], motions: &[Motion
         ([run], [motion]) => {
             let ends = motion.time_us.first().zip(motion.time_us.last());
             let simulated = rpm.zip(ends).map(|(rpm, (from, to))| Simulated::constant(rpm, from * 1e-6, to * 1e-6));
-            figure(&format!("{}, run {}", measurement.name, run.id), motion, run.drive_on_s, simulated.as_ref())?
+            figure(&format!("{}, run {}", measurement.name, run.id), motion, Drive::of(run), simulated.as_ref())?
         }
         _ => {
             let named: Vec<(&Run, &Motion)> = runs.iter().copied().zip(motions).collect();

@@ -15,7 +15,7 @@ use crate::record::measurement::{Direction, LevelEdge, Measurement, Run, RunData
 use crate::report::figure::{Figure, Panel};
 use crate::report::speed::{self, Simulated};
 use crate::signal::SignalError;
-use crate::signal::course::Course;
+use crate::signal::course::{Course, Drive};
 use crate::signal::run::{Method, Motion, Options, motion};
 use serde::Serialize;
 
@@ -72,9 +72,9 @@ pub struct RunComparison {
     pub measured: Transient,
     /// What was simulated.
     pub simulated: Transient,
-    /// When the drive ended, if before the record, in s.
+    /// How it was driven.
     #[serde(skip)]
-    pub drive_on_s: Option<f64>,
+    pub drive: Drive,
     /// The measured motion, for pictures.
     #[serde(skip)]
     pub motion: Motion,
@@ -148,11 +148,11 @@ fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &Model) -> Resul
     let turned = |rad: &[f64], i: usize| (rad[i] - rad[0]).to_degrees();
     let n = measured.time_us.len();
     let rms = |f: &dyn Fn(usize) -> f64| ((0..n).map(|i| f(i).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
-    let course = |motion: &Motion| transient(&Course::of(motion, run.drive_on_s), sign);
+    let course = |motion: &Motion| transient(&Course::of(motion, Drive::of(run)), sign);
     let beside = Motion { position_rad: simulated_rad.clone(), speed_rpm: simulated_rpm.clone(), ..measured.clone() };
     Ok(RunComparison {
         id: run.id.clone(),
-        drive_on_s: run.drive_on_s,
+        drive: Drive::of(run),
         duty,
         rmse_speed_rpm: rms(&|i| measured.speed_rpm[i] - simulated_rpm[i]),
         rmse_position_deg: rms(&|i| turned(&measured.position_rad, i) - turned(&simulated_rad, i)),
@@ -290,7 +290,7 @@ impl Comparison {
         if let [run] = self.runs.as_slice() {
             let times_s = run.motion.time_us.iter().map(|t| t * 1e-6);
             let simulated = Simulated { speed: times_s.zip(run.simulated_rpm.iter().copied()).collect() };
-            return speed::figure(&format!("{title}, run {}", run.id), &run.motion, run.drive_on_s, Some(&simulated));
+            return speed::figure(&format!("{title}, run {}", run.id), &run.motion, run.drive, Some(&simulated));
         }
         Ok(self.overview(title))
     }

@@ -2,7 +2,7 @@
 
 use crate::record::measurement::{Measurement, Run, RunData, RunKind};
 use crate::signal::SignalError;
-use crate::signal::course::Course;
+use crate::signal::course::{Course, Drive};
 use crate::signal::run::{EncoderErrors, Method, Motion, Options, motion};
 use crate::signal::tracking::{Tick, Tracking};
 use crate::signal::turn::ORDERS;
@@ -42,7 +42,7 @@ pub struct SpeedFigures {
 impl SpeedFigures {
     /// Reads them off a run and its motion.
     pub fn of(run: &Run, motion: &Motion) -> Self {
-        let course = Course::of(motion, run.drive_on_s);
+        let course = Course::of(motion, Drive::of(run));
         let fit = course.fit.as_ref();
         let ends = motion.time_us.first().zip(motion.time_us.last());
         let variance = motion.speed_sd_rpm.as_ref().and_then(|sd| {

@@ -3,7 +3,7 @@
 use super::figure::{Figure, Panel};
 use crate::record::measurement::Run;
 use crate::signal::SignalError;
-use crate::signal::course::{Course, START_S};
+use crate::signal::course::{Course, Drive, START_S};
 use crate::signal::run::Motion;
 use crate::signal::spectrum::against_angle;
 use crate::signal::turn::TurnFit;
@@ -74,10 +74,10 @@ fn strongest_order(fit: &TurnFit) -> (&'static str, f64) {
 pub fn figure(
     title: &str,
     motion: &Motion,
-    drive_on_s: Option<f64>,
+    drive: Drive,
     simulated: Option<&Simulated>,
 ) -> Result<Figure, SignalError> {
-    let found = Course::of(motion, drive_on_s);
+    let found = Course::of(motion, drive);
     let seconds: Vec<f64> = motion.time_us.iter().map(|t| t * 1e-6).collect();
     let measured: Vec<(f64, f64)> = seconds.iter().copied().zip(motion.speed_rpm.iter().copied()).collect();
     let mut over_time = Panel::new("time (s)", "speed (rpm)").title(time_heading(&found)).line("measured", &measured);
@@ -91,7 +91,7 @@ pub fn figure(
         over_time = over_time.dashed("simulated", &simulated.speed);
     }
     let Some(fit) = &found.fit else { return Ok(Figure::new(title).panel(over_time)) };
-    let lacks = simulated.map_or(Vec::new(), |simulated| lacking(&found, &Course::of(&simulated.motion(), drive_on_s)));
+    let lacks = simulated.map_or(Vec::new(), |simulated| lacking(&found, &Course::of(&simulated.motion(), drive)));
     let title = match lacks.as_slice() {
         [] => title.to_owned(),
         lacks => format!("{title}. The simulation lacks: {}", lacks.join("; ")),
@@ -169,7 +169,7 @@ pub fn overview(title: &str, runs: &[(&Run, &Motion)], simulated_rpm: Option<f64
         let label = if runs.len() <= MOST_NAMED { run.id.clone() } else { String::new() };
         let line: Vec<(f64, f64)> =
             motion.time_us.iter().map(|t| t * 1e-6).zip(motion.speed_rpm.iter().copied()).collect();
-        if let Some((duty, mean)) = run.duty.zip(Course::of(motion, run.drive_on_s).mean_rpm) {
+        if let Some((duty, mean)) = run.duty.zip(Course::of(motion, Drive::of(run)).mean_rpm) {
             means.push((100.0 * duty, mean));
         }
         over_time = over_time.line(label, &line);
@@ -290,15 +290,15 @@ mod tests {
     #[test]
     fn the_headings_say_what_was_put_in() {
         let motion = example();
-        let found = Course::of(&motion, None);
+        let found = Course::of(&motion, Drive::default());
         let fit = found.fit.unwrap();
         assert!((fit.drift_rpm_per_s + 1.0).abs() < 0.02 && (fit.amplitude_rpm[1] - 5.0).abs() < 0.05);
         let simulated = Simulated::constant(34.8, 0.0, 4.0);
-        let svg = figure("Speed", &motion, None, Some(&simulated)).unwrap().svg().unwrap();
+        let svg = figure("Speed", &motion, Drive::default(), Some(&simulated)).unwrap().svg().unwrap();
         assert!(svg.contains("overshoots to 5"), "{svg}");
         assert!(svg.contains("trend \u{2212}1.00 rpm/s"));
         assert!(svg.contains("varies most twice a turn, by \u{b1}5.0 rpm (15 %)"));
-        let course = |motion: &Motion| Course::of(motion, None);
+        let course = |motion: &Motion| Course::of(motion, Drive::default());
         let lacks = lacking(&course(&motion), &course(&simulated.motion()));
         assert!(lacks[0].starts_with("a start that overshoots by 6") && lacks.len() == 3, "{lacks:?}");
         assert_eq!(lacks[1..], ["\u{b1}5.0 rpm (15 %) twice a turn", "a drift of \u{2212}1.00 rpm/s"]);
@@ -313,7 +313,7 @@ mod tests {
             motion.time_us.truncate(keep);
             motion.position_rad.truncate(keep);
             motion.speed_rpm.truncate(keep);
-            figure("Speed", &motion, None, None).unwrap().svg().unwrap();
+            figure("Speed", &motion, Drive::default(), None).unwrap().svg().unwrap();
         }
     }
 }

@@ -4,6 +4,7 @@
 
 use super::run::Motion;
 use super::turn::TurnFit;
+use crate::record::measurement::Run;
 use serde::Serialize;
 use std::ops::Range;
 
@@ -13,6 +14,22 @@ pub const START_S: f64 = 0.2;
 const RISEN: f64 = 0.63;
 /// Share of the settled speed below which the rotor counts as stopped: what a speed estimated over an edge interval can tell.
 const STOPPED: f64 = 0.05;
+
+/// How a run was driven, as far as it is known.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Drive {
+    /// When the drive ended, in s; to the record's end where it is not known.
+    pub on_s: Option<f64>,
+    /// Fraction of the PWM period with the drive on.
+    pub duty: Option<f64>,
+}
+
+impl Drive {
+    /// That of an open-loop run.
+    pub fn of(run: &Run) -> Self {
+        Self { on_s: run.drive_on_s, duty: run.duty }
+    }
+}
 
 /// The figures of a run. Speeds are signed as the motion's.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -25,7 +42,8 @@ pub struct Course {
     pub start_peak_rpm: Option<f64>,
     /// When that was, in s after the drive began.
     pub start_peak_s: Option<f64>,
-    /// By what share of the settled speed the start goes beyond it; 0 when it does not.
+    /// By what share of the settled speed the start goes beyond it; 0 when it does not, none where the drive is pulsed: every pulse
+    /// then goes beyond the mean.
     pub overshoot: Option<f64>,
     /// From the start of the drive to 63 % of the settled speed, in s.
     pub rise_s: Option<f64>,
@@ -42,14 +60,14 @@ pub struct Course {
 }
 
 impl Course {
-    /// Reads the figures off a motion that is driven from its start (or t = 0, whichever is later) for `drive_on_s` s, or to its
-    /// end. Of a drive shorter than 0.4 s the second half counts as settled.
-    pub fn of(motion: &Motion, drive_on_s: Option<f64>) -> Self {
+    /// Reads the figures off a motion that is driven from its start (or t = 0, whichever is later). Of a drive shorter than 0.4 s the second half counts as settled.
+    pub fn of(motion: &Motion, drive: Drive) -> Self {
+        let pulsed = drive.duty.is_some_and(|duty| duty < 1.0);
         let seconds = |us: f64| us * 1e-6;
         let (first_s, last_s) =
             motion.time_us.first().zip(motion.time_us.last()).map_or((0.0, 0.0), |(a, b)| (seconds(*a), seconds(*b)));
         let begin_s = first_s.max(0.0);
-        let off_s = drive_on_s.filter(|off| *off > begin_s && *off < last_s);
+        let off_s = drive.on_s.filter(|off| *off > begin_s && *off < last_s);
         let driven_to_s = off_s.unwrap_or(last_s);
         let from_s = begin_s + START_S.min(0.5 * (driven_to_s - begin_s));
         let index = |s: f64| motion.time_us.partition_point(|t| seconds(*t) < s);
@@ -78,7 +96,7 @@ impl Course {
             settled_s: [from_s, driven_to_s],
             start_peak_rpm,
             start_peak_s: peak.map(|i| seconds(motion.time_us[i]) - begin_s),
-            overshoot: start_peak_rpm.zip(moving).map(|(peak, mean)| (peak / mean - 1.0).max(0.0)),
+            overshoot: start_peak_rpm.zip(moving).filter(|_| !pulsed).map(|(peak, mean)| (peak / mean - 1.0).max(0.0)),
             rise_s: first(begin..to, &|share| share >= RISEN).map(|at| at - begin_s),
             stop_s: off_s.and_then(|off| first(to..motion.time_us.len(), &|share| share <= STOPPED).map(|at| at - off)),
             coast_deg: off_s.and(motion.position_rad.get(to).zip(end)).map(|(at, end)| (end - at).abs().to_degrees()),
@@ -122,10 +140,14 @@ mod tests {
         }
     }
 
+    fn driven(on_s: f64) -> Drive {
+        Drive { on_s: Some(on_s), duty: Some(1.0) }
+    }
+
     #[test]
     fn only_the_driven_settled_part_makes_the_mean() {
         for sense in [1.0, -1.0] {
-            let found = Course::of(&motion(sense), Some(2.0));
+            let found = Course::of(&motion(sense), driven(2.0));
             assert!((found.mean_rpm.unwrap() - sense * 35.0).abs() < 1e-9, "{found:?}");
             let fit = found.fit.as_ref().unwrap();
             assert!(fit.drift_rpm_per_s.abs() < 1e-6 && fit.amplitude_rpm[0] < 1e-6, "{found:?}");
@@ -140,12 +162,15 @@ mod tests {
     #[test]
     fn what_is_not_there_is_not_said() {
         let still = Motion { speed_rpm: vec![0.0; 3000], position_rad: vec![0.0; 3000], ..motion(1.0) };
-        let found = Course::of(&still, None);
+        let found = Course::of(&still, Drive::default());
         assert_eq!((found.mean_rpm, found.rise_s, found.overshoot, found.stop_s), (Some(0.0), None, None, None));
         let none = Motion { time_us: vec![], position_rad: vec![], speed_rpm: vec![], ..motion(1.0) };
-        assert_eq!(Course::of(&none, Some(1.0)).mean_rpm, None);
+        assert_eq!(Course::of(&none, driven(1.0)).mean_rpm, None);
+        // Every pulse of a pulsed drive goes beyond the mean: that is no overshoot.
+        let pulsed = Drive { duty: Some(0.5), ..driven(2.0) };
+        assert_eq!(Course::of(&motion(1.0), pulsed).overshoot, None);
         // A drive that ends after the record is one to its end.
-        let open = Course::of(&motion(1.0), Some(5.0));
+        let open = Course::of(&motion(1.0), driven(5.0));
         assert_eq!((open.stop_s, open.coast_deg), (None, None));
     }
 }

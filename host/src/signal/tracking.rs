@@ -106,6 +106,8 @@ impl Tracking {
 }
 
 fn greatest_speed(ticks: &[Tick], of: impl Fn(&Tick) -> i64) -> f64 {
+    // A run cut short of that is looked at over what there is.
+    let length_s = ticks.last().map_or(0.0, |last| last.time_s - ticks[0].time_s);
     let (mut from, mut greatest) = (0, 0.0_f64);
     for to in ticks {
         while to.time_s - ticks[from].time_s > OVER_S {
@@ -113,7 +115,7 @@ fn greatest_speed(ticks: &[Tick], of: impl Fn(&Tick) -> i64) -> f64 {
         }
         let over_s = to.time_s - ticks[from].time_s;
         // A stretch that is still growing tells less than a count's worth.
-        if over_s > 0.8 * OVER_S {
+        if over_s > 0.8 * OVER_S.min(length_s) {
             greatest = greatest.max(((of(to) - of(&ticks[from])) as f64 / over_s).abs());
         }
     }
