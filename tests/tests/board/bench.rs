@@ -3,9 +3,7 @@
 use std::time::Duration;
 use twum_host::link::{LinkError, Received, Session, SimulatedLink};
 use twum_host::sim::{Board, Setup};
-use twum_shared::message::{
-    CaptureMode, Configuration, DeviceMessage, FaultReport, HostMessage, Mode, SpeedRun, TrackRun,
-};
+use twum_shared::message::{CaptureMode, Configuration, DeviceMessage, FaultReport, Mode, SpeedRun, TrackRun};
 use twum_shared::reference::Reference;
 use twum_shared::step::ConfigSpec;
 use twum_shared::{Direction, Duty, Fault};
@@ -81,7 +79,7 @@ impl Bench {
                 return tick;
             }
             if host_alive && tick % 100 == 0 {
-                self.session.send(&HostMessage::Keepalive).expect("the link is up");
+                self.session.keep_alive().expect("the link is up");
             }
             self.board().run_for(TICK_US);
         }

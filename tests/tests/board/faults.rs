@@ -326,7 +326,7 @@ const MODES: [(&str, Make); 6] = [
 fn aligning() -> Bench {
     let mut bench = Bench::new(Setup::default());
     bench.session.configure(default_configuration()).expect("configuration");
-    bench.session.send(&twum_shared::message::HostMessage::Align).expect("the link is up");
+    bench.session.begin_alignment().expect("the link is up");
     bench.wait(150);
     assert_eq!(bench.board().mode(), Mode::Aligning);
     bench
@@ -418,7 +418,7 @@ fn a_brown_out_at_any_moment_of_alignment_leaves_the_motor_off_and_can_be_aligne
         for after_ms in (1..ALIGNMENT_MS).step_by(25) {
             let mut bench = Bench::new(Setup { driver: DriverHealth::Well, ..Setup::default() });
             bench.session.configure(default_configuration()).expect("configuration");
-            bench.session.send(&twum_shared::message::HostMessage::Align).expect("the link is up");
+            bench.session.begin_alignment().expect("the link is up");
             for _ in 0..after_ms {
                 bench.board().run_for(1_000);
                 assert!(bench.board().output_is_off(), "alignment goes without PWM");
