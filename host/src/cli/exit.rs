@@ -26,7 +26,7 @@ pub fn code_of(error: &Error) -> u8 {
         Some(LinkError::Fault(_) | LinkError::Latched(_) | LinkError::Refused { reason: Refusal::Fault(_), .. }) => {
             FAULT
         }
-        Some(LinkError::StoppedByOther | LinkError::Restarted(_)) => ENDED_BY_OTHER,
+        Some(LinkError::StoppedByOther | LinkError::Restarted) => ENDED_BY_OTHER,
         Some(LinkError::Lost { .. } | LinkError::NotStopped(_)) => NOT_SEEN_TO_STAND,
         Some(LinkError::Interrupted) => INTERRUPTED,
         _ => BAD_INPUT,

@@ -2,6 +2,7 @@
 
 use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms};
 use super::diagnose::{motor_of, runs_of};
+use super::exit;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -196,9 +197,11 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
     bar.finish_and_clear();
     let verdict = match cut {
         Some((id, error)) => {
+            let verdict = Err(anyhow::Error::from(error).context(format!("run {id}")));
+            exit::decide(&verdict);
             let made = whole.as_ref().map_or(0, |whole| whole.runs.len());
             eprintln!("{made} of {} runs were made; {} keeps what was recorded", runs.len(), recordings.display());
-            Err(anyhow::Error::from(error).context(format!("run {id}")))
+            verdict.map(ExitCode::from)
         }
         None => Ok(ExitCode::SUCCESS),
     };

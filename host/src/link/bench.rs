@@ -122,11 +122,12 @@ pub fn perform<P: Port>(
     }
     let mut follower = Follower::default();
     let result = conduct(session, experiment, &mut reopen, &mut follower, &mut observe);
-    let stopped = if experiment.action.moves() { session.halt() } else { Ok(()) };
+    let stopped = session.let_go();
     let rest = receive_rest(session, &mut follower, &mut observe);
     let interrupted = matches!(result, Err(LinkError::Interrupted));
-    if let Some(why) = cut(interrupted, follower.ended) {
-        session.remark(&format!("the run was cut short: {why}"));
+    let error = result.as_ref().err().filter(|_| !interrupted).map(ToString::to_string);
+    if let Some(why) = error.or_else(|| cut(interrupted, follower.ended).map(|why| why.to_string())) {
+        session.remark(&format!("cut short: {why}"));
     }
     let tally = session.tally();
     let recorded = session.finish_recording();
@@ -149,9 +150,7 @@ pub fn align<P: Port>(session: &mut Session<P>) -> Result<(), LinkError> {
         return Err(LinkError::Latched(fault));
     }
     let result = session.align();
-    if result.is_err() {
-        session.halt()?;
-    }
+    session.let_go()?;
     result
 }
 
@@ -197,7 +196,7 @@ fn conduct<P: Port>(
             Err(error) => return Err(error),
         }
         if session.tally().restarts > restarts {
-            go_on_after_restart(session, experiment)?;
+            go_on_after_restart(session, experiment.capture)?;
         }
     }
 }
@@ -228,14 +227,11 @@ fn start<P: Port>(session: &mut Session<P>, experiment: &Experiment) -> Result<(
     }
 }
 
-/// What moved is over when the board restarts; what only watches switches its streams on again.
-fn go_on_after_restart<P: Port>(session: &mut Session<P>, experiment: &Experiment) -> Result<(), LinkError> {
+/// What only watches switches its streams on again; what moved has ended before.
+fn go_on_after_restart<P: Port>(session: &mut Session<P>, capture: CaptureMode) -> Result<(), LinkError> {
     let reset = session.hello()?.reset;
     session.remark(&format!("the board restarted: {reset:?}"));
-    if experiment.action.moves() {
-        return Err(LinkError::Restarted(reset));
-    }
-    session.capture(experiment.capture)
+    session.capture(capture)
 }
 
 /// Switches the streams off, which flushes what waits for a block to fill, and takes what still comes. The motor stands.

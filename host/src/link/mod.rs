@@ -20,7 +20,7 @@ use std::time::Duration;
 use thiserror::Error;
 use twum_shared::Fault;
 use twum_shared::frame::PROTOCOL_VERSION;
-use twum_shared::message::{Refusal, ResetCause};
+use twum_shared::message::Refusal;
 
 /// A byte stream to a board, with the clock that goes with it.
 pub trait Port {
@@ -109,8 +109,8 @@ pub enum LinkError {
     #[error("the motor was stopped by somebody else")]
     StoppedByOther,
     /// The board started anew in the middle of it.
-    #[error("the board restarted ({0:?}); its motor is off, and nothing goes on by itself")]
-    Restarted(ResetCause),
+    #[error("the board restarted; its motor is off, and nothing goes on by itself (`twum info` says why it restarted)")]
+    Restarted,
     /// The motor was not seen to stand.
     #[error(
         "the motor was not seen to stand: {0}. A board that hears nothing switches off by itself within its command timeout; \

@@ -310,6 +310,7 @@ impl<P: Port> Session<P> {
             until = until.min(now + INTERRUPTION);
         }
         self.port.receive(&mut self.bytes, until.saturating_sub(now))?;
+        let restarts = self.tally.restarts;
         let bytes = std::mem::take(&mut self.bytes);
         for &byte in &bytes {
             self.block.push(byte);
@@ -319,6 +320,11 @@ impl<P: Port> Session<P> {
                 // No frame is that long: what is kept of a stream without separators stays bounded.
                 self.take_block()?;
             }
+        }
+        // What this session set in motion is over, and does not go on by itself.
+        if attention == Attention::Ordinary && self.holding && self.tally.restarts > restarts {
+            self.hold(false);
+            return Err(LinkError::Restarted);
         }
         Ok(())
     }

@@ -33,6 +33,14 @@ impl<P: Port> Session<P> {
         self.switch_off(false)
     }
 
+    /// [`Session::halt`], if this session set the motor in motion, or may have; what another one moves goes on.
+    ///
+    /// # Errors
+    /// As [`Session::halt`].
+    pub fn let_go(&mut self) -> Result<(), LinkError> {
+        if self.holding { self.halt() } else { Ok(()) }
+    }
+
     pub(super) fn switch_off(&mut self, clear_fault: bool) -> Result<(), LinkError> {
         self.pass = None;
         let began = self.port.elapsed();
@@ -44,28 +52,30 @@ impl<P: Port> Session<P> {
             sent.push(self.send(&HostMessage::Stop { clear_fault })?);
             let until = self.port.elapsed() + STOP_AGAIN;
             let acknowledged = self.search(until, Attention::Stopping, |received| match &received.message {
-                DeviceMessage::Ack { of } if sent.contains(of) => Some(()),
+                DeviceMessage::Ack { of } if sent.contains(of) => Some(received.header.time_us),
                 _ => None,
             })?;
-            if acknowledged.is_some() {
+            if let Some(at_us) = acknowledged {
+                self.see_it_stand(at_us)?;
                 break;
             }
         }
-        self.see_it_stand()?;
         self.hold(false);
         Ok(())
     }
 
-    /// Waits for a status that says that nothing moves.
-    fn see_it_stand(&mut self) -> Result<(), LinkError> {
-        // Statuses from before the stop are none.
-        let mut looked_at = self.inbox.len();
+    /// Waits for a status, not older than the acknowledgement, that says that nothing moves.
+    fn see_it_stand(&mut self, acknowledged_us: u64) -> Result<(), LinkError> {
+        let mut looked_at = 0;
         let give_up = self.port.elapsed() + STANDSTILL;
         let mut next_status = self.port.elapsed() + STATUS;
         loop {
             while let Some(received) = self.inbox.get(looked_at) {
                 looked_at += 1;
                 let DeviceMessage::Status(status) = &received.message else { continue };
+                if received.header.time_us < acknowledged_us {
+                    continue;
+                }
                 next_status = self.port.elapsed() + STATUS;
                 if status.duty.is_off() && matches!(status.mode, Mode::Idle | Mode::Fault) {
                     return Ok(());
