@@ -1,7 +1,8 @@
 //! Arguments every command that talks to a board shares.
 
 use super::exit;
-use anyhow::{Context, Result, bail};
+use super::signals::on_signal;
+use anyhow::{Result, bail};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -32,13 +33,12 @@ const STOPPING: Duration = Duration::from_secs(5);
 /// Makes Ctrl-C set [`INTERRUPTED`].
 pub fn catch_interrupts() -> Result<()> {
     let mut first = None;
-    ctrlc::set_handler(move || {
+    on_signal(move || {
         let since = first.get_or_insert_with(Instant::now).elapsed();
         if INTERRUPTED.swap(true, Ordering::Relaxed) && (!is_motor_held() || since > STOPPING) {
             std::process::exit(exit::INTERRUPTED.into());
         }
     })
-    .context("cannot catch Ctrl-C")
 }
 
 impl ConnectArgs {

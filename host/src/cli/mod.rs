@@ -21,6 +21,7 @@ mod output;
 mod plot;
 mod ports;
 mod replay;
+mod signals;
 mod sim;
 mod speed;
 mod stop;
