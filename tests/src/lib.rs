@@ -21,5 +21,6 @@ pub mod profile;
 pub mod rotor;
 pub mod solver;
 pub mod strength;
+pub mod suite;
 pub mod tracking;
 pub mod truth;

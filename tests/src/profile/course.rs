@@ -32,11 +32,11 @@ pub struct Motor {
 }
 
 impl Motor {
-    /// Draws one: 10 to 100 rpm, times of 0.3 to 40 ms, from nearly coasting to clamped.
+    /// Draws one: 10 to 100 rpm, times of 0.3 to 16 ms, from nearly coasting to clamped.
     pub fn draw(dice: &mut Dice) -> Self {
         let full = dice.decade(10.0, 100.0) * TAU / 60.0;
         // A tenth to ten times the listed motor's 2 ms at 35 rpm, more where it turns faster.
-        let rise_s = (full / 3.67 * dice.decade(0.2e-3, 20e-3)).clamp(0.3e-3, 40e-3);
+        let rise_s = (full / 3.67 * dice.decade(0.2e-3, 20e-3)).clamp(0.3e-3, 16e-3);
         let fall_s = match dice.whole(0, 9) {
             0 | 1 => rise_s * dice.decade(20.0, 200.0),
             2..=4 => rise_s * dice.decade(1.6, 15.0),

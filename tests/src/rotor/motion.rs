@@ -2,12 +2,16 @@
 
 use super::effects::{Acting, Factors};
 use super::shape::{between, log_between, one_of};
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Acceleration that the listed motor's contact gives its rotor: 0.1057 · 1 N · 13.675 mm / 7.6558e-7 kg·m², in rad/s².
 pub const LISTED_CONTACT: f64 = 1888.0;
+
+/// Longest time from rest to the crest's speed in s.
+const SLOWEST_S: f64 = 12e-3;
 
 /// How the contact's friction saturates over the slip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,25 +58,30 @@ pub struct Rotor {
     pub slip: f64,
     /// How it does.
     pub saturation: Saturation,
+    /// Share of the contact with which a wave that comes or goes holds back a rotor faster than its crest.
+    pub dying: f64,
 }
 
 impl Rotor {
     /// Draws one: 10 to 100 rpm, a tenth to ten times the listed friction, from nearly coasting to clamped.
     pub fn draw(rng: &mut ChaCha8Rng) -> Self {
-        let contact = LISTED_CONTACT * log_between(rng, 0.1, 10.0);
+        let crest = log_between(rng, 10.0, 100.0) * TAU / 60.0;
+        // Where speed takes longer than a PWM period, pulses add up until the rotor is at the crest, whatever the duty.
+        let contact = (LISTED_CONTACT * log_between(rng, 0.1, 10.0)).max(crest / SLOWEST_S);
         let share = match one_of(rng, &[0, 1, 1, 2, 2]) {
             0 => log_between(rng, 0.003, 0.03),
             1 => log_between(rng, 0.05, 0.6),
             _ => between(rng, 0.7, 1.3),
         };
         Self {
-            crest: log_between(rng, 10.0, 100.0) * TAU / 60.0,
+            crest,
             contact,
             brake: contact * share,
             viscous: log_between(rng, 0.05, 3.0),
             wave_s: log_between(rng, 0.1e-3, 1.5e-3),
             slip: log_between(rng, 0.003, 0.05),
             saturation: one_of(rng, &[Saturation::Clamp, Saturation::Tanh, Saturation::Root]),
+            dying: if rng.random() { 1.0 } else { between(rng, 0.0, 0.3) },
         }
     }
 
@@ -85,6 +94,7 @@ impl Rotor {
             ("viscous_per_s", self.viscous),
             ("wave_s", self.wave_s),
             ("slip", self.slip),
+            ("dying", self.dying),
         ]
         .map(|(k, v)| (k.to_owned(), v))
         .into()
@@ -110,7 +120,10 @@ impl Rotor {
     fn acceleration(&self, w: f64, wave: f64, f: &Factors) -> (f64, f64) {
         let grown = (wave / 0.05).min(1.0);
         let brake = self.brake * f.brake;
-        let grip = brake + (self.contact * f.grip - brake) * grown;
+        // A wave that comes or goes need not hold back a rotor that is faster than its crest.
+        let partial = wave < 0.8 && w > wave * self.crest * f.gain;
+        let held = if partial { self.dying } else { 1.0 };
+        let grip = brake + (self.contact * f.grip - brake) * grown * held;
         // Against the stator at rest there is no crest to creep on.
         let width = (self.slip + f.slip) * self.crest * (0.05 + 0.95 * grown);
         let (pull, slope) = self.saturation.at((wave * self.crest * f.gain - w) / width);
@@ -182,7 +195,7 @@ pub struct Motion<'a> {
 }
 
 impl<'a> Motion<'a> {
-    /// At rest at t = 0, with the run's own factor on the crest's speed.
+    /// At rest at t = 0, with the run's own factor on the crest's speed and its pull.
     pub fn new(rotor: &'a Rotor, drive: Drive, acting: Acting<'a>, gain: f64) -> Self {
         Self { rotor, drive, acting, gain, t: 0.0, wave: 0.0, speed: 0.0, angle: 0.0 }
     }
@@ -229,6 +242,7 @@ impl<'a> Motion<'a> {
         let goal = if on { 1.0 } else { 0.0 };
         let mut factors = self.acting.factors(self.t + 0.5 * dt, dt, on, self.angle, self.speed);
         factors.gain *= self.gain;
+        factors.grip *= self.gain;
         self.wave = goal + (self.wave - goal) * (-dt / self.rotor.wave_s).exp();
         let next = self.rotor.after(self.speed, self.wave, &factors, dt);
         let angle = self.angle + 0.5 * (self.speed + next) * dt;
