@@ -1,12 +1,11 @@
 //! Writes one measurement folder of a generator, and its truth beside it as `DIR.truth.json`:
-//! `hide_any --generator b|c --seed N [--kind null|single|pair|outside|removed|closed] [--effect NAME]... [--rho R]
+//! `hide_any --generator a|b|c --seed N [--kind null|single|pair|outside|removed|closed] [--effect NAME]... [--rho R]
 //! [--clean] DIR`.
 //!
 //! `--clean` writes the same data set with nothing hidden: same motor, same experiment, same noise.
 
 use std::path::PathBuf;
 use twum_tests::truth::{Kind, Request};
-use twum_tests::{profile, rotor};
 
 fn main() {
     if let Err(error) = hide() {
@@ -35,13 +34,7 @@ fn hide() -> Result<(), String> {
         }
     }
     let folder = folder.ok_or("hide_any needs the folder to write")?;
-    let made = match (generator.as_str(), clean) {
-        ("b", false) => rotor::make(seed, &request),
-        ("b", true) => rotor::make::without(seed, &request),
-        ("c", false) => profile::make(seed, &request),
-        ("c", true) => profile::make::without(seed, &request),
-        _ => Err(format!("no generator {generator}: b or c")),
-    }?;
+    let made = twum_tests::suite::make(&generator, seed, &request, clean)?;
     let truth = made.write(&folder).map_err(|e| format!("{}: {e}", folder.display()))?;
     println!("{} and {}", folder.display(), truth.display());
     Ok(())

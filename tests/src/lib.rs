@@ -13,6 +13,7 @@
 
 pub mod carrier;
 pub mod experiment;
+pub mod first;
 pub mod folder;
 pub mod hidden;
 pub mod motor;

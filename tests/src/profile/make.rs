@@ -82,7 +82,7 @@ fn arranged(seed: u64, request: &Request) -> Result<(Scene, Vec<Effect>), String
             continue;
         }
         let mut hidden = Vec::new();
-        let view = (!names.is_empty()).then(|| scene.view(&scene.some()));
+        let view = (!names.is_empty()).then(|| scene.view(&scene.some(), Motor::PARAMETERS));
         for name in &names {
             let effect = Effect::draw(name, &mut own).ok_or_else(|| format!("no effect {name}"))?;
             let drawn = dice.decade(1.1, 8.0);
@@ -183,14 +183,14 @@ impl Scene {
         (0..kept.len()).step_by(every).enumerate().map(|(n, k)| kept[(k + n % every).min(kept.len() - 1)]).collect()
     }
 
-    fn view(&self, runs: &[usize]) -> View<'_> {
+    /// Some runs with nothing hidden, `nudges` of the motor's parameters for the refit.
+    fn view(&self, runs: &[usize], nudges: usize) -> View<'_> {
         let before = self.before(&[]);
         let seen: Vec<(Traces, Floor)> = runs
             .par_iter()
             .map(|k| {
                 let plain = self.trace(&self.motor, *k, before[*k], &[]);
-                let nudged =
-                    (0..Motor::PARAMETERS).map(|p| self.trace(&self.motor.nudged(p), *k, before[*k], &[])).collect();
+                let nudged = (0..nudges).map(|p| self.trace(&self.motor.nudged(p), *k, before[*k], &[])).collect();
                 let (period_s, pitch) = (1.0 / self.bench.plan[*k].drive.pwm_hz, TAU / self.bench.edges as f64);
                 let edges: Vec<f64> = match self.record(*k, before[*k], &[]) {
                     Record::Levels { levels, .. } => {
@@ -212,7 +212,7 @@ impl Scene {
 
     fn made(&self, seed: u64, kind: Kind, hidden: &[Effect]) -> Made {
         let kept = self.kept();
-        let view = self.view(&kept);
+        let view = self.view(&kept, if hidden.is_empty() { 0 } else { Motor::PARAMETERS });
         let before = self.before(hidden);
         let run = |k: &usize| {
             let drive = self.bench.plan[*k].drive;

@@ -200,7 +200,8 @@ impl Case {
         record(&crossings, &clock, &self.nuisance, self.design.sample_us, record_s, self.run_rng(k, 4))
     }
 
-    fn bench(&self, runs: &[usize]) -> Bench<'_> {
+    /// Some runs with nothing hidden; without their refit where nothing will be held against them.
+    fn bench(&self, runs: &[usize], parameters: usize) -> Bench<'_> {
         let pasts = self.pasts(&[]);
         let traces: Vec<(Traces, Floor)> = runs
             .par_iter()
@@ -210,7 +211,7 @@ impl Case {
                 let (period_s, pitch) = (1.0 / self.design.runs[*k].drive.pwm_hz, TAU / f64::from(self.design.edges));
                 let mut floor = Floor::default();
                 floor.add(&edge_times(&self.record(*k, pasts[*k], &[])), &plain, pitch, period_s);
-                (Traces { nudged: (0..Rotor::PARAMETERS).map(nudge).collect(), plain, period_s, pitch }, floor)
+                (Traces { nudged: (0..parameters).map(nudge).collect(), plain, period_s, pitch }, floor)
             })
             .collect();
         let (traces, floors): (Vec<Traces>, Vec<Floor>) = traces.into_iter().unzip();
@@ -230,13 +231,13 @@ impl Case {
         if wanted.is_empty() {
             return Some(Vec::new());
         }
-        let bench = self.bench(&self.probe());
+        let bench = self.bench(&self.probe(), Rotor::PARAMETERS);
         wanted.into_iter().map(|(effect, rho)| bench.sized(effect, rho, exactly)).collect()
     }
 
     fn finish(&self, seed: u64, kind: Kind, hidden: &[Effect]) -> Made {
         let kept: Vec<usize> = (0..self.design.runs.len()).filter(|k| !self.design.runs[*k].missing).collect();
-        let bench = self.bench(&kept);
+        let bench = self.bench(&kept, if hidden.is_empty() { 0 } else { Rotor::PARAMETERS });
         let pasts = self.pasts(hidden);
         let runs = kept
             .par_iter()

@@ -143,7 +143,7 @@ impl Rotor {
         for _ in 0..12 {
             let (a, slope) = self.acceleration(x, wave, f);
             let miss = x - w - dt * a;
-            if miss.abs() < 1e-7 * self.crest {
+            if miss.abs() < 1e-6 * self.crest {
                 break;
             }
             if miss > 0.0 {
@@ -221,7 +221,7 @@ impl<'a> Motion<'a> {
         let rotor = self.rotor;
         let start = self.t;
         let swing = rotor.crest / if on { rotor.contact } else { rotor.brake.max(0.05 * rotor.contact) };
-        let (growing, swinging) = (0.25 * rotor.wave_s, (0.02 * swing).clamp(25e-6, 200e-6));
+        let (growing, swinging) = (0.25 * rotor.wave_s, (0.04 * swing).clamp(25e-6, 250e-6));
         let grown = 6.0 * rotor.wave_s;
         while self.t < until - 1e-12 {
             let resting = !on && self.wave < 1e-3 && self.speed.abs() < 1e-4 * rotor.crest;

@@ -7,10 +7,10 @@ pub mod runner;
 pub mod tables;
 
 use crate::truth::{Kind, Made, Request};
-use crate::{profile, rotor};
+use crate::{first, profile, rotor};
 
 /// The generators the suite knows.
-pub const GENERATORS: [&str; 2] = ["b", "c"];
+pub const GENERATORS: [&str; 3] = ["a", "b", "c"];
 
 /// One data set to be made and diagnosed.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -24,19 +24,36 @@ pub struct Case {
 }
 
 impl Case {
-    /// Makes the data set, or the one with the same motor, experiment and noise and nothing hidden.
+    /// Makes the data set.
     ///
     /// # Errors
-    /// What the generator says, or that there is none of that name.
-    pub fn make(&self, clean: bool) -> Result<Made, String> {
-        let request = Request::of(self.kind);
-        match (self.generator.as_str(), clean) {
-            ("b", false) => rotor::make(self.seed, &request),
-            ("b", true) => rotor::make::without(self.seed, &request),
-            ("c", false) => profile::make(self.seed, &request),
-            ("c", true) => profile::make::without(self.seed, &request),
-            (other, _) => Err(format!("no generator {other}: one of {}", GENERATORS.join(", "))),
-        }
+    /// What the generator says.
+    pub fn make(&self) -> Result<Made, String> {
+        make(&self.generator, self.seed, &Request::of(self.kind), false)
+    }
+
+    /// Makes the data set of the same motor, experiment and noise with nothing hidden.
+    ///
+    /// # Errors
+    /// What the generator says.
+    pub fn make_clean(&self) -> Result<Made, String> {
+        make(&self.generator, self.seed, &Request::of(self.kind), true)
+    }
+}
+
+/// Makes what is asked of a generator, or the same with nothing hidden.
+///
+/// # Errors
+/// What the generator says, or that there is none of that name.
+pub fn make(generator: &str, seed: u64, request: &Request, clean: bool) -> Result<Made, String> {
+    match (generator, clean) {
+        ("a", false) => first::make(seed, request),
+        ("a", true) => first::without(seed, request),
+        ("b", false) => rotor::make(seed, request),
+        ("b", true) => rotor::make::without(seed, request),
+        ("c", false) => profile::make(seed, request),
+        ("c", true) => profile::make::without(seed, request),
+        (other, _) => Err(format!("no generator {other}: one of {}", GENERATORS.join(", "))),
     }
 }
 

@@ -82,7 +82,7 @@ impl Runner {
     }
 
     fn outcome(&self, case: &Case, worker: usize) -> Option<Outcome> {
-        let made = match case.make(false) {
+        let made = match case.make() {
             Ok(made) => made,
             Err(error) => {
                 eprintln!("{error}");
@@ -108,7 +108,7 @@ impl Runner {
 
     fn clean(&self, case: &Case, folder: &Path) -> Option<f64> {
         let _ = std::fs::remove_dir_all(folder);
-        case.make(true).ok()?.folder.write(folder).ok()?;
+        case.make_clean().ok()?.folder.write(folder).ok()?;
         self.ask(folder, None).ok()?["baseline"]["rmse_speed_rpm"].as_f64()
     }
 
