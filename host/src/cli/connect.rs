@@ -1,12 +1,15 @@
 //! Arguments every command that talks to a board shares.
 
 use super::config;
-use anyhow::{Context, Result, anyhow, bail};
+use super::exit;
+use super::signals::on_signal;
+use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 use twum_host::link::bench::{Experiment, Outcome, perform};
-use twum_host::link::{Port, Received, SerialLink, Session, SimulatedLink};
+use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink, is_motor_held};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::record::measurement::ControlSpec;
@@ -82,17 +85,22 @@ const DEFAULT_MOTOR: &str = "pcbmotor-30mm";
 /// A motor of one time constant, for tests of the link and the loop.
 const SIMPLE: &str = "simple";
 
-/// Set by Ctrl-C; a second Ctrl-C ends the program at once.
+/// Set by Ctrl-C, a termination or a closed window; a second one ends the program at once, unless the motor is still being
+/// stopped.
 pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// The motor is stopped within this time of the first signal, or cannot be.
+const STOPPING: Duration = Duration::from_secs(5);
 
 /// Makes Ctrl-C set [`INTERRUPTED`].
 pub fn catch_interrupts() -> Result<()> {
-    ctrlc::set_handler(|| {
-        if INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+    let mut first = None;
+    on_signal(move || {
+        let since = first.get_or_insert_with(Instant::now).elapsed();
+        if INTERRUPTED.swap(true, Ordering::Relaxed) && (!is_motor_held() || since > STOPPING) {
+            std::process::exit(exit::INTERRUPTED.into());
         }
     })
-    .context("cannot catch Ctrl-C")
 }
 
 impl ConnectArgs {
@@ -188,8 +196,20 @@ pub struct RecordArgs {
 }
 
 impl RecordArgs {
-    /// Prints how it went; the exit code is 1 for a fault or an unforgiven loss.
+    /// The exit code: of a fault, of somebody else's stop, of an interruption, of an unforgiven loss.
+    fn verdict(&self, outcome: &Outcome) -> Result<u8> {
+        match outcome.run.map(|run| run.end) {
+            Some(RunEnd::Fault(fault)) => Err(LinkError::Fault(fault).into()),
+            _ if outcome.interrupted => Ok(exit::INTERRUPTED),
+            Some(RunEnd::Stopped) => Err(LinkError::StoppedByOther.into()),
+            _ => Ok(u8::from(!outcome.tally.is_lossless() && !self.allow_loss)),
+        }
+    }
+
+    /// Prints how it went.
     pub fn conclude(&self, outcome: &Outcome, motor: Option<&RunFigures>) -> Result<ExitCode> {
+        let verdict = self.verdict(outcome);
+        exit::decide(&verdict);
         let end = outcome.run.map(|run| run.end);
         let seconds = outcome.run.map(|run| run.end_us.saturating_sub(run.start_us) as f64 * 1e-6);
         let tally = outcome.tally;
@@ -220,17 +240,10 @@ impl RecordArgs {
         for warning in motor.map(RunFigures::warnings).into_iter().flatten() {
             eprintln!("warning: {warning}");
         }
-        match end {
-            Some(RunEnd::Fault(fault)) => {
-                Err(anyhow!("the motor was stopped by {fault:?}: {fault}; `twum stop` clears it"))
-            }
-            _ if !tally.is_lossless() && !self.allow_loss => {
-                eprintln!("error: frames were lost; the recording marks where (--allow-loss to accept)");
-                Ok(ExitCode::from(1))
-            }
-            _ if outcome.interrupted => Ok(ExitCode::from(130)),
-            _ => Ok(ExitCode::SUCCESS),
+        if matches!(verdict, Ok(1)) {
+            eprintln!("error: frames were lost; the recording marks where (--allow-loss to accept)");
         }
+        verdict.map(ExitCode::from)
     }
 }
 

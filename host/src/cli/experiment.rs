@@ -2,7 +2,7 @@
 
 use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms};
 use super::diagnose::{motor_of, runs_of};
-use super::units;
+use super::{exit, units};
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Options, diagnose};
+use twum_host::link::LinkError;
 use twum_host::link::bench::{Action, Experiment, perform};
 use twum_host::model::parameters::Flavour;
 use twum_host::record::series::{Series, SeriesError, SeriesRun};
@@ -170,7 +171,15 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
         }
         Series::begin(&args.out, series_of(&runs))?
     };
-    let made = perform_all(args, &series);
+    let verdict = match perform_all(args, &series) {
+        Ok(None) => Ok(0),
+        Ok(Some((id, error))) => Err(anyhow::Error::from(error).context(format!("run {id}"))),
+        Err(error) => Err(error),
+    };
+    exit::decide(&verdict);
+    if verdict.is_err() {
+        eprintln!("stopped; `twum experiment run --resume --out {}` goes on with it", args.out.display());
+    }
     // However it ended, what was made to its end becomes a measurement.
     let (saved, notes) = series.measure()?;
     notes.iter().for_each(|note| eprintln!("{note}"));
@@ -178,17 +187,11 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
         println!("{}", saved.folder.display());
         eprintln!("{} of {} runs; next: twum diagnose {}", saved.runs.len(), series.runs().len(), args.out.display());
     }
-    match made? {
-        true => Ok(ExitCode::SUCCESS),
-        false => {
-            eprintln!("interrupted; `twum experiment run --resume --out {}` goes on", args.out.display());
-            Ok(ExitCode::from(130))
-        }
-    }
+    verdict.map(ExitCode::from)
 }
 
-/// Makes the runs that are not made yet; false when interrupted.
-fn perform_all(args: &RunArgs, series: &Series) -> Result<bool> {
+/// Makes the runs that are not made yet; the one that was cut short, and by what.
+fn perform_all(args: &RunArgs, series: &Series) -> Result<Option<(String, LinkError)>> {
     let runs = series.runs();
     let bar = ProgressBar::new(runs.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
@@ -200,8 +203,8 @@ fn perform_all(args: &RunArgs, series: &Series) -> Result<bool> {
             bar.inc(1);
             continue;
         }
-        if run.pause_s > 0.0 {
-            std::thread::sleep(Duration::from_secs_f64(run.pause_s));
+        if let Err(error) = session.rest(Duration::from_secs_f64(run.pause_s.max(0.0))) {
+            return Ok(Some((run.id.clone(), error)));
         }
         let mut configuration = args.configuration.configuration()?;
         configuration.pwm_hz = run.pwm_hz.round() as u16;
@@ -217,12 +220,13 @@ fn perform_all(args: &RunArgs, series: &Series) -> Result<bool> {
             motor: motor.clone(),
         };
         let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {}", run.id))?;
-        if outcome.interrupted {
-            bar.abandon();
-            return Ok(false);
+        if let Some(error) = outcome.cut() {
+            // No ordinary run: it goes by another name, and into no measurement.
+            series.set_aside(run)?;
+            return Ok(Some((run.id.clone(), error)));
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
-    Ok(true)
+    Ok(None)
 }

@@ -9,6 +9,7 @@ mod connect;
 mod demo;
 mod diagnose;
 mod driver;
+pub mod exit;
 mod experiment;
 mod export;
 mod identify;
@@ -23,6 +24,7 @@ mod plot;
 mod ports;
 mod replay;
 mod run;
+mod signals;
 mod sim;
 mod speed;
 mod stop;
@@ -36,7 +38,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about)]
+#[command(name = "twum", version, about, after_help = exit::HELP)]
 pub struct Cli {
     #[command(subcommand)]
     command: Option<Command>,

@@ -6,6 +6,9 @@ use super::recording::Recording;
 use super::store::StoreError;
 use std::path::{Path, PathBuf};
 
+/// Part of the name of a recording whose run was cut short: no run of a folder.
+pub const CUT_SHORT: &str = "cut-short";
+
 /// Why no runs could be read.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
@@ -91,7 +94,10 @@ fn entries(folder: &Path) -> Vec<PathBuf> {
 }
 
 fn recordings_in(folder: &Path) -> Vec<PathBuf> {
-    let is_recording = |path: &PathBuf| path.extension().is_some_and(|e| e == "mcap") && path.is_file();
+    let is_recording = |path: &PathBuf| {
+        let cut_short = path.file_stem().is_some_and(|stem| stem.to_string_lossy().contains(CUT_SHORT));
+        path.extension().is_some_and(|e| e == "mcap") && !cut_short && path.is_file()
+    };
     let here: Vec<PathBuf> = entries(folder).into_iter().filter(is_recording).collect();
     if here.is_empty() { entries(&folder.join("recordings")).into_iter().filter(is_recording).collect() } else { here }
 }

@@ -3,7 +3,7 @@
 //! `plan.json` holds the plan, `recordings/ID.mcap` one recording a run, `measurement/` what was made of them. A series that was
 //! interrupted goes on with the runs that are not finished, in the plan's order.
 
-use super::load::{LoadError, load_runs};
+use super::load::{CUT_SHORT, LoadError, load_runs};
 use super::measurement::{Measurement, MeasurementError};
 use super::recording::Recording;
 use serde::{Deserialize, Serialize};
@@ -140,12 +140,20 @@ impl Series {
         if ended.is_some_and(|(end, _)| end == RunEnd::Completed) {
             return Ok(true);
         }
-        let aside = (1..)
-            .map(|n| path.with_extension(format!("cut-short-{n}")))
-            .find(|aside| !aside.exists())
-            .unwrap_or_else(|| path.with_extension("cut-short"));
-        std::fs::rename(&path, &aside).map_err(io(&path))?;
+        self.set_aside(run)?;
         Ok(false)
+    }
+
+    /// Gives the recording of a run that was cut short another name, `ID.cut-short.mcap` or the next that is free.
+    ///
+    /// # Errors
+    /// When it cannot be renamed.
+    pub fn set_aside(&self, run: &SeriesRun) -> Result<(), SeriesError> {
+        let path = self.recording(run);
+        let numbered = (2..).map(|n| path.with_extension(format!("{CUT_SHORT}-{n}.mcap")));
+        let first = path.with_extension(format!("{CUT_SHORT}.mcap"));
+        let free = std::iter::once(first).chain(numbered).find(|aside| !aside.exists());
+        free.map_or(Ok(()), |aside| std::fs::rename(&path, aside).map_err(io(&path)))
     }
 
     /// Makes the measurement of what was recorded to its end so far; one made of less is replaced. The notes say what the recordings lost.
@@ -219,7 +227,7 @@ mod tests {
         assert!(!series.is_made(run).unwrap());
         std::fs::write(series.recording(run), b"cut off").unwrap();
         assert!(!series.is_made(run).unwrap());
-        assert!(!series.recording(run).exists() && series.recording(run).with_extension("cut-short-1").exists());
+        assert!(!series.recording(run).exists() && series.recording(run).with_extension("cut-short.mcap").exists());
         assert_eq!(series.measure().unwrap().0, None);
     }
 }
