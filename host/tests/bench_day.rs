@@ -73,6 +73,7 @@ fn number(value: &Value, key: &str) -> f64 {
 }
 
 #[test]
+#[ignore = "a minute in real time, on a machine with a core to spare: cargo test -p twum-host --test bench_day -- --ignored"]
 fn every_command_does_the_right_thing_and_no_figure_has_two_values() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("hidden.toml"), "[effects.dead-zone]\nthreshold_duty = 0.12\n").unwrap();

@@ -4,11 +4,7 @@ use anyhow::{Context, Result, bail};
 
 fn number(text: &str, unit: &str, kinds: &str) -> Result<f64> {
     let word = text.strip_suffix(unit).unwrap_or(text).trim();
-    let value: f64 = word.parse().with_context(|| format!("`{text}` is not {kinds}"))?;
-    if !value.is_finite() {
-        bail!("`{text}` is not finite");
-    }
-    Ok(value)
+    word.parse().with_context(|| format!("`{text}` is not {kinds}"))
 }
 
 /// The value of a text in the first unit that it ends in, times that unit's factor; without a unit as it is.
@@ -22,18 +18,25 @@ fn scaled(text: &str, units: &[(&str, f64)], kinds: &str) -> Result<f64> {
     number(text, "", kinds)
 }
 
+fn finite(text: &str, value: f64) -> Result<f64> {
+    if !value.is_finite() {
+        bail!("`{text}` is not finite");
+    }
+    Ok(value)
+}
+
 /// An angle, in counts.
 pub fn counts(text: &str, edges_per_rev: u16) -> Result<f64> {
     let turn = f64::from(edges_per_rev);
     let units = [("turn", turn), ("deg", turn / 360.0), ("\u{b0}", turn / 360.0), ("counts", 1.0)];
-    scaled(text, &units, "an angle: counts, or such as 90deg or 0.25turn")
+    finite(text, scaled(text, &units, "an angle: counts, or such as 90deg or 0.25turn")?)
 }
 
 /// An angular speed, in counts/s.
 pub fn counts_s(text: &str, edges_per_rev: u16) -> Result<f64> {
     let turn = f64::from(edges_per_rev);
     let units = [("rpm", turn / 60.0), ("deg/s", turn / 360.0), ("\u{b0}/s", turn / 360.0), ("counts/s", 1.0)];
-    scaled(text, &units, "a speed: counts/s, or such as 30rpm or 180deg/s")
+    finite(text, scaled(text, &units, "a speed: counts/s, or such as 30rpm or 180deg/s")?)
 }
 
 /// A duty, as a fraction.
