@@ -7,7 +7,7 @@
 use super::finding::{Estimate, Finding, Status};
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM};
-use super::search::{LARGEST_P, LEAST_GAIN};
+use super::verdict::{LARGEST_P, LEAST_GAIN};
 use super::stats::HeldOut;
 use crate::record::measurement::RunKind;
 
@@ -101,6 +101,7 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
         finding: Finding {
             name: "dropped-samples".to_owned(),
             status: Status::Named,
+            probability: None,
             gain,
             gain_interval: held.gain_interval(seed),
             p_null,

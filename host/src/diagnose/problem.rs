@@ -53,6 +53,8 @@ pub enum Column {
     Eccentricity(usize),
     /// A coefficient of [`RunTerms::gravity`].
     Gravity(usize),
+    /// A phased coefficient with parameters first set as listed (shape of the effect).
+    Shaped(Box<Column>, Vec<(P, f64)>),
     /// Relative speed error times a basis function of the window, for terms that stand for no physics.
     Flexible(Basis),
 }
@@ -175,6 +177,15 @@ impl Problem {
         self.sequence.is_some()
     }
 
+    /// Place of each run in the order of making; all 0 where that is unknown.
+    pub fn ranks(&self) -> Vec<f64> {
+        let mut rank = vec![0.0; self.runs.len()];
+        for (k, i) in self.sequence.iter().flatten().enumerate() {
+            rank[*i] = k as f64;
+        }
+        rank
+    }
+
     /// Root mean square of the runs' mean speeds in rpm.
     pub fn rms_speed_rpm(&self) -> f64 {
         let square = |r: &Observed| r.mean_speed_rpm().powi(2);
@@ -255,7 +266,7 @@ impl Problem {
         let mut out = RunResidual::default();
         simulate(&input, p, terms, &mut angle, &mut out.speed);
         let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
-        let sensor = terms.eccentricity != [0.0; 2];
+        let sensor = terms.eccentricity.iter().any(|c| *c != 0.0);
         out.rpm.reserve(run.windows.len());
         out.predicted.reserve(run.windows.len());
         let track = run.kind == RunKind::Track;
@@ -284,6 +295,27 @@ impl Problem {
             out.predicted.push(advance / dt * RPM);
         }
         out
+    }
+
+    /// Residuals of a run with one phased coefficient larger by a step, and the step.
+    fn phased_step(&self, i: usize, column: &Column, p: &Parameters, terms: &RunTerms, warmth: f64) -> (RunResidual, f64) {
+        let mut terms = *terms;
+        let step = match column {
+            Column::Runout(h) => {
+                terms.runout[*h] += 0.01;
+                0.01
+            }
+            Column::Eccentricity(h) => {
+                terms.eccentricity[*h] += 1e-3;
+                1e-3
+            }
+            Column::Gravity(h) => {
+                terms.gravity[*h] += 10.0;
+                10.0
+            }
+            _ => 1.0,
+        };
+        (self.run_residual(i, p, &terms, warmth), step)
     }
 
     /// Predicted-speed derivatives of one run for each column, weighted like the residuals: rows are windows.
@@ -359,24 +391,14 @@ impl Problem {
                                 (now.rpm[k] - moved.rpm[k]) / step * 1e-2 * hat(*j, *n, t / longest)
                             });
                         }
-                        Column::Runout(h) | Column::Eccentricity(h) | Column::Gravity(h) => {
-                            let mut terms = model.terms[i];
-                            let step = match column {
-                                Column::Runout(_) => {
-                                    terms.runout[*h] += 0.01;
-                                    0.01
-                                }
-                                Column::Eccentricity(_) => {
-                                    terms.eccentricity[*h] += 1e-3;
-                                    1e-3
-                                }
-                                _ => {
-                                    terms.gravity[*h] += 10.0;
-                                    10.0
-                                }
-                            };
-                            let moved = self.run_residual(i, p, &terms, warmth[i]);
-                            put(&|k| (now.rpm[k] - moved.rpm[k]) / step);
+                        Column::Runout(_) | Column::Eccentricity(_) | Column::Gravity(_) => {
+                            let moved = self.phased_step(i, column, p, &model.terms[i], warmth[i]);
+                            put(&|k| (now.rpm[k] - moved.0.rpm[k]) / moved.1);
+                        }
+                        Column::Shaped(phased, shape) => {
+                            let shaped = shape.iter().fold(p.clone(), |q, (which, value)| q.with(*which, *value));
+                            let moved = self.phased_step(i, phased, &shaped, &model.terms[i], warmth[i]);
+                            put(&|k| (now.rpm[k] - moved.0.rpm[k]) / moved.1);
                         }
                         Column::Flexible(basis) => {
                             let value = |k: usize| {

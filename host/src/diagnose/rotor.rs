@@ -80,11 +80,29 @@ pub enum P {
     Miscount,
     /// `reversal-miscount`: counts gained at every reversal whatever its sense.
     MiscountDrift,
+    /// `dead-zone`: duty below which the drive is gated off; above it, all of it acts.
+    GateDuty,
+    /// `dead-zone`: how softly the gate opens, in duty.
+    GateWidth,
+    /// `high-duty-saturation`: quadratic bend, u/(1 + bend·u²).
+    Bend,
+    /// `high-duty-saturation`: what of the duty beyond 1 − `FlatFrom` is lost.
+    FlatTop,
+    /// `clock-error`: change of the clock's relative error a second.
+    ClockDrift,
+    /// `frequency-settling`: 1 where it counts the time of the drive, 0 where it counts time.
+    SettleOnTime,
+    /// `preload-runout`: how much of it acts on the speed of the wave (1 = all).
+    RunoutSpeed,
+    /// `preload-runout`: how much of it acts on the drive's torque.
+    RunoutTorque,
+    /// `preload-runout`: how much of it acts on the braking without a wave.
+    RunoutBrake,
 }
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 32] = [
+    pub const ALL: [P; 41] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -117,6 +135,15 @@ impl P {
         P::Backlash,
         P::Miscount,
         P::MiscountDrift,
+        P::GateDuty,
+        P::GateWidth,
+        P::Bend,
+        P::FlatTop,
+        P::ClockDrift,
+        P::SettleOnTime,
+        P::RunoutSpeed,
+        P::RunoutTorque,
+        P::RunoutBrake,
     ];
 }
 
@@ -139,6 +166,9 @@ impl Parameters {
         p.set(P::SagTime, 0.01);
         p.set(P::StribeckSpeed, 0.5);
         p.set(P::WearRevolutions, 1.0);
+        p.set(P::GateWidth, 0.02);
+        p.set(P::RunoutSpeed, 1.0);
+        p.set(P::RunoutTorque, 1.0);
         p
     }
 
@@ -160,13 +190,28 @@ impl Parameters {
     }
 }
 
+/// Harmonics of a turn in which a runout or an eccentric wheel may act.
+pub const HARMONICS: usize = 4;
+
+/// `Σ a_k·cos(kθ) + b_k·sin(kθ)` of interleaved coefficients.
+fn harmonics(coefficients: &[f64; 2 * HARMONICS], theta: f64) -> f64 {
+    let (s, c) = theta.sin_cos();
+    let (mut sk, mut ck) = (s, c);
+    let mut sum = 0.0;
+    for pair in coefficients.chunks_exact(2) {
+        sum += pair[0] * ck + pair[1] * sk;
+        (ck, sk) = (ck * c - sk * s, sk * c + ck * s);
+    }
+    sum
+}
+
 /// What belongs to one run alone: rotor angle is unknown between runs, so angle-dependent effects have a phase a run.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RunTerms {
-    /// Drive modulation: cos θ, sin θ, cos 2θ, sin 2θ (relative).
-    pub runout: [f64; 4],
-    /// Encoder angle error: cos θ, sin θ coefficients in rad.
-    pub eccentricity: [f64; 2],
+    /// Drive modulation: cosine and sine of θ, 2θ, 3θ, 4θ (relative).
+    pub runout: [f64; 2 * HARMONICS],
+    /// Encoder angle error: cosine and sine of θ, 2θ, 3θ, 4θ in rad.
+    pub eccentricity: [f64; 2 * HARMONICS],
     /// Load torque over inertia: cos θ, sin θ coefficients in rad/s².
     pub gravity: [f64; 2],
 }
@@ -174,8 +219,7 @@ pub struct RunTerms {
 impl RunTerms {
     /// Angle that the encoder reads too far at a measured angle, in rad.
     pub fn encoder_error(&self, measured: f64) -> f64 {
-        let (sin, cos) = measured.sin_cos();
-        self.eccentricity[0] * cos + self.eccentricity[1] * sin
+        harmonics(&self.eccentricity, measured)
     }
 }
 
@@ -274,7 +318,12 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     // Asked for on both sides of every time; put together at the end.
     let half = input.half_sample_s;
     let sided = |q: usize| input.times[q / 2] + if q.is_multiple_of(2) { -half } else { half };
-    let true_time = |q: usize| (if half > 0.0 { sided(q) } else { input.times[q] } - latency) / clock;
+    let drift = p.get(P::ClockDrift);
+    let true_time = |q: usize| {
+        let t = if half > 0.0 { sided(q) } else { input.times[q] } - latency;
+        // t_recorded = (1 + ε + drift·t/2)·t, solved to first order in the drift.
+        t / (clock + 0.5 * drift * t)
+    };
     let count = if half > 0.0 { 2 * input.times.len() } else { input.times.len() };
     let mut next = 0;
     let mut warmth = input.warmth;
@@ -288,6 +337,10 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     let sag = p.get(P::Sag);
     let sag_time = p.get(P::SagTime).max(1e-4);
     let mut sagged = 0.0;
+    let settle_on_time = p.get(P::SettleOnTime) > 0.5;
+    let mut on_time = 0.0;
+    let [runout_speed, runout_torque, runout_brake] =
+        [P::RunoutSpeed, P::RunoutTorque, P::RunoutBrake].map(|k| p.get(k));
     let free_speed = p.get(P::FreeSpeed);
     let on_acceleration = p.get(P::OnAcceleration).max(1.0);
     let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
@@ -340,10 +393,7 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
                 }
                 let theta = input.angles[measured];
                 let (s, c) = theta.sin_cos();
-                modulation = terms.runout[0] * c
-                    + terms.runout[1] * s
-                    + terms.runout[2] * (c * c - s * s)
-                    + terms.runout[3] * 2.0 * s * c;
+                modulation = harmonics(&terms.runout, theta);
                 external += terms.gravity[0] * c + terms.gravity[1] * s;
             }
             if stribeck != 0.0 {
@@ -352,11 +402,11 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
                 let grip = stribeck * (-x * x).exp();
                 external -= if on || state.speed != 0.0 { sense * grip } else { 0.0 };
             }
-            let brake = brake * (1.0 + sign * p.get(P::AsymBrake)).max(0.0);
+            let brake = brake * (1.0 + sign * p.get(P::AsymBrake) + runout_brake * modulation).max(0.0);
             let mut target = 0.0;
             let mut acceleration = on_acceleration;
             if on {
-                let mut gain = 1.0 - heat_loss * warmth + sign * p.get(P::AsymSpeed) + modulation + wear;
+                let mut gain = 1.0 - heat_loss * warmth + sign * p.get(P::AsymSpeed) + runout_speed * modulation + wear;
                 if wear_slope != 0.0 {
                     let revs = input.revolutions + state.angle.abs() / std::f64::consts::TAU;
                     gain += wear_slope * ((1.0 + revs / wear_r0) / (1.0 + input.revolutions / wear_r0)).ln();
@@ -366,11 +416,13 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
                     gain -= sag * middle;
                 }
                 if settle != 0.0 {
-                    let middle = 0.5 * (state.t + end);
-                    gain += settle * (-middle / settle_tau).exp();
+                    let middle = 0.5 * (end - state.t);
+                    let since = if settle_on_time { on_time } else { state.t };
+                    gain += settle * (-(since + middle) / settle_tau).exp();
                 }
+                on_time += end - state.t;
                 target = sign * free_speed * gain.max(0.0);
-                acceleration *= (1.0 + modulation).max(0.01);
+                acceleration *= (1.0 + runout_torque * modulation).max(0.01);
             }
             if sag != 0.0 {
                 let drive = if on { 1.0 } else { 0.0 };
@@ -536,6 +588,12 @@ pub fn effective_duty(duty: f64, p: &Parameters) -> f64 {
     }
     u -= p.get(P::DeadDuty);
     u = u.max(0.0);
+    let gate = p.get(P::GateDuty);
+    if gate > 0.0 {
+        u /= 1.0 + (-(duty - gate) / p.get(P::GateWidth).max(1e-4)).exp();
+    }
+    u /= (1.0 + p.get(P::Bend) * u * u).max(0.1);
+    u = u.min(1.0 - p.get(P::FlatTop));
     u /= 1.0 + (u * p.get(P::Saturation)).max(-0.9);
     u.clamp(0.0, 1.0)
 }

@@ -328,6 +328,11 @@ impl Grams {
         self.runs.iter().map(|r| r.yy).sum::<f64>() / self.runs.len().max(1) as f64
     }
 
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
     /// Effective number of rows.
     pub fn rows(&self) -> usize {
         self.runs.iter().map(|r| r.rows).sum()
@@ -515,9 +520,17 @@ impl Grams {
 
     /// Improvements of all groups on the measured data, and the null's largest improvement in each repetition.
     ///
-    /// A null data set keeps every residual but turns its sign: the gain of a run by one coin, what is left by a coin a
-    /// block. What repeats from run to run or lasts longer than a block is lost, the noise stays as it is.
-    pub fn screen(&self, base: &[usize], groups: &[Group], repetitions: usize, seed: u64) -> (Vec<f64>, Vec<f64>) {
+    /// A null data set keeps every residual but turns its sign: the gain of a run (one of `gains`, or its own where there are none) by
+    /// one coin, what is left by a coin a block. What repeats from run to run or lasts longer than a block is lost, the noise
+    /// stays as it is.
+    pub fn screen(
+        &self,
+        base: &[usize],
+        groups: &[Group],
+        gains: &[f64],
+        repetitions: usize,
+        seed: u64,
+    ) -> (Vec<f64>, Vec<f64>) {
         let base_plan = self.plan(base, &Group::Linear(Vec::new()));
         let plans: Vec<Plan> = groups.par_iter().map(|g| self.plan(base, g)).collect();
         let observed = self.observed_b();
@@ -527,20 +540,20 @@ impl Grams {
             .into_par_iter()
             .map(|k| {
                 let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_add(1 + k as u64));
-                let b = self.null_b(&mut rng);
+                let b = self.null_b(gains, &mut rng);
                 plans.iter().map(|p| self.improvement(p, &base_plan, &b, false)).fold(0.0, f64::max)
             })
             .collect();
         (improvements, null)
     }
 
-    fn null_b(&self, rng: &mut impl Rng) -> Vec<Vec<f64>> {
+    fn null_b(&self, gains: &[f64], rng: &mut impl Rng) -> Vec<Vec<f64>> {
         let mut coin = || if rng.random::<bool>() { 1.0 } else { -1.0 };
         self.runs
             .iter()
             .enumerate()
             .map(|(r, run)| {
-                let s = coin() * run.gain;
+                let s = coin() * gains.get(r).copied().unwrap_or(run.gain);
                 let mut b: Vec<f64> =
                     (0..self.columns).map(|i| s * run.g[i * self.columns + self.gain_column]).collect();
                 for block in &run.blocks {
