@@ -9,7 +9,9 @@ use super::rotor::{P, Parameters};
 /// The motor file is right: friction is measured to a third, and varies so much from day to day.
 pub const SAME_MOTOR_LOG_SD: f64 = 0.3;
 /// Or these runs are of another motor of the kind, whose friction is a tenth of the file's, or ten times it, at 1.5 deviations.
-const OTHER_MOTOR_LOG_SD: f64 = 1.5;
+const OTHER_MOTOR: LogNormal = LogNormal { median: 1.0, log_sd: 1.5 };
+/// Without a wave, another motor may be clamped like the file's, coast, or anything between: five decades at two deviations.
+const OTHER_BRAKE: LogNormal = LogNormal { median: 0.1, log_sd: 2.5 };
 /// Neither is likelier before the data.
 const SAME_MOTOR: f64 = 0.5;
 /// Damping and the softness of the contact hardly show in open loop.
@@ -23,15 +25,15 @@ const RING_DOWN_S: f64 = 4.6e-4;
 /// The motor's own parameters that are fitted; `home` are the motor file's.
 pub fn baseline_free(model: &Parameters, home: &Parameters) -> Vec<Free> {
     let speed = model.get(P::FreeSpeed);
-    let rate = |parameter: P| {
+    let rate = |parameter: P, other: LogNormal| {
         let listed = if home.get(parameter) > 0.0 { home.get(parameter) } else { home.get(P::OnAcceleration) };
         Free {
             parameter,
-            scale: model.get(parameter).max(0.02 * listed),
-            bounds: (2e-3 * listed, 50.0 * listed),
+            scale: model.get(parameter).max(1e-4 * listed),
+            bounds: (1e-5 * listed, 50.0 * listed),
             prior: Prior::Either {
-                medians: [listed; 2],
-                log_sds: [SAME_MOTOR_LOG_SD, OTHER_MOTOR_LOG_SD],
+                medians: [listed, other.median * listed],
+                log_sds: [SAME_MOTOR_LOG_SD, other.log_sd],
                 first: SAME_MOTOR,
             },
         }
@@ -44,8 +46,8 @@ pub fn baseline_free(model: &Parameters, home: &Parameters) -> Vec<Free> {
     };
     let mut all = vec![
         Free { parameter: P::FreeSpeed, scale: speed, bounds: (0.02 * speed, 50.0 * speed), prior: Prior::Flat },
-        rate(P::OnAcceleration),
-        rate(P::OffDeceleration),
+        rate(P::OnAcceleration, OTHER_MOTOR),
+        rate(P::OffDeceleration, OTHER_BRAKE),
         near(P::Viscous, home.get(P::Viscous).max(0.05), HARDLY_SEEN.log_sd),
         near(P::SlipBand, home.get(P::SlipBand).max(1e-3), HARDLY_SEEN.log_sd),
         Free {
@@ -73,52 +75,68 @@ pub fn first_noise(problem: &Problem, model: &Model, independent: f64) -> Noise 
 /// Spread of the gains of runs before anything is known of it: about a per cent, and what effects over the runs do besides.
 const GAIN_SPREAD: f64 = 0.015;
 
+/// Times in s in which a rotor of the kind starts, and in which it stops without a wave: a clamped one as fast as it starts, one that
+/// coasts within seconds.
+const STARTS_S: [f64; 3] = [2e-4, 1e-3, 5e-3];
+const STOPS_S: [f64; 5] = [2e-4, 1e-3, 5e-3, 5e-2, 1.0];
+/// Starts that are refitted for a few steps, and of these to the end.
+const LOOKED_AT: usize = 6;
+const FINISHED: usize = 2;
+
 /// The baseline's own parameters, refitted from several starts: a rotor that is clamped, one that coasts, one that starts slowly
 /// and one that brakes in between lie in valleys of their own.
 pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) -> Model {
-    let mut starts = Vec::new();
-    for on in [0.2, 1.0, 4.0] {
-        for off in [0.1, 1.0, 4.0] {
-            let off = off * home.get(P::OffDeceleration).max(0.1 * home.get(P::OnAcceleration));
-            starts.push(home.with(P::OnAcceleration, on * home.get(P::OnAcceleration)).with(P::OffDeceleration, off));
+    let speed = home.get(P::FreeSpeed);
+    let mut starts = vec![home.clone()];
+    for on_s in STARTS_S {
+        for off_s in STOPS_S {
+            let rotor = home.with(P::OnAcceleration, speed / on_s).with(P::OffDeceleration, speed / off_s);
+            // A contact that lets go at once, and one that the dying wave still brakes.
+            starts.push(rotor.clone());
+            if off_s >= 5e-3 {
+                starts.push(rotor.with(P::RingDown, RING_DOWN_S));
+            }
         }
-    }
-    let coasting = home.with(P::OffDeceleration, 0.01 * home.get(P::OnAcceleration)).with(P::RingDown, RING_DOWN_S);
-    starts.push(coasting.clone());
-    // A rotor that coasts is faster at part duty than the duty says: the start's free speed is read off the duty.
-    let fastest = problem.runs.iter().map(|r| r.mean_speed_rpm().abs() / super::problem::RPM).fold(0.0, f64::max);
-    if fastest > 0.0 && fastest < 0.8 * home.get(P::FreeSpeed) {
-        starts.push(coasting.with(P::FreeSpeed, fastest));
     }
     let value = |model: &Model, noise: Noise| {
         let free = baseline_free(&model.parameters, home);
         let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
         objective(problem, model, noise) - 2.0 * noise.variance * prior
     };
-    let looked: Vec<Model> = starts
-        .iter()
-        .map(|start| {
-            let model = problem.model(start.clone());
-            let noise = first_noise(problem, &model, independent);
-            refit(problem, model, &baseline_free(start, home), &[], noise, 2)
-        })
-        .collect();
-    let best_of = |models: &[Model]| -> Option<(Model, Noise)> {
+    let sorted = |mut models: Vec<Model>| -> (Vec<Model>, Noise) {
         let noise = models
             .iter()
             .map(|m| first_noise(problem, m, independent))
-            .min_by(|a, b| a.variance.total_cmp(&b.variance))?;
-        let best = models.iter().min_by(|a, b| value(a, noise).total_cmp(&value(b, noise)))?;
-        Some((best.clone(), noise))
+            .min_by(|a, b| a.variance.total_cmp(&b.variance))
+            .unwrap_or(Noise { variance: 1.0, gain_spread: GAIN_SPREAD });
+        models.sort_by(|a, b| value(a, noise).total_cmp(&value(b, noise)));
+        (models, noise)
     };
-    let Some((_, noise)) = best_of(&looked) else { return problem.model(home.clone()) };
-    // The best three go on: a valley that looked worse at first may be the deeper one.
-    let mut order: Vec<&Model> = looked.iter().collect();
-    order.sort_by(|a, b| value(a, noise).total_cmp(&value(b, noise)));
-    let finished: Vec<Model> = order
-        .into_iter()
-        .take(3)
-        .map(|m| refit(problem, m.clone(), &baseline_free(&m.parameters, home), &[], noise, 8))
-        .collect();
-    best_of(&finished).map_or_else(|| problem.model(home.clone()), |b| b.0)
+    let (looked, noise) = sorted(starts.into_iter().map(|s| at_speed(problem, problem.model(s))).collect());
+    let refitted = |models: Vec<Model>, noise: Noise, count: usize, steps: usize| -> Vec<Model> {
+        let fit = |m: Model| {
+            let free = baseline_free(&m.parameters, home);
+            refit(problem, m, &free, &[], noise, steps)
+        };
+        models.into_iter().take(count).map(fit).collect()
+    };
+    let (near, noise) = sorted(refitted(looked, noise, LOOKED_AT, 4));
+    let (best, _) = sorted(refitted(near, noise, FINISHED, 12));
+    best.into_iter().next().unwrap_or_else(|| problem.model(home.clone()))
+}
+
+/// The model with the free speed that the runs have on average.
+fn at_speed(problem: &Problem, mut model: Model) -> Model {
+    for _ in 0..2 {
+        let (mut gg, mut gy) = (0.0, 0.0);
+        for (run, r) in problem.runs.iter().zip(problem.residuals(&model)) {
+            for (k, w) in run.windows.iter().enumerate() {
+                gg += r.predicted[k] * r.predicted[k] * run.duration(w);
+                gy += r.predicted[k] * r.rpm[k] * run.duration(w);
+            }
+        }
+        let factor = (1.0 + gy / f64::max(gg, 1e-12)).clamp(0.2, 5.0);
+        model.parameters.set(P::FreeSpeed, factor * model.parameters.get(P::FreeSpeed));
+    }
+    model
 }

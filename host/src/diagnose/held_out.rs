@@ -16,6 +16,26 @@ pub const LEAST_RUNS: usize = 4;
 /// End of the start-up of a single run in s: it happens once, and is not scored.
 pub const START_UP_S: f64 = 0.1;
 
+/// What chance can do.
+pub struct Chance {
+    /// Largest improvement of any candidate in each null data set.
+    null: Vec<f64>,
+    /// Every effect alone beside the baseline, linearly, in its best form.
+    pub alone: Vec<(usize, HeldOut)>,
+}
+
+impl Chance {
+    /// Share of null data sets in which some candidate does as well.
+    pub fn p(&self, held: &HeldOut) -> f64 {
+        super::stats::p_value(held.improvement(), &self.null)
+    }
+
+    /// The errors of an effect alone.
+    pub fn alone(&self, effect: usize) -> Option<&HeldOut> {
+        self.alone.iter().find(|a| a.0 == effect).map(|a| &a.1)
+    }
+}
+
 /// How runs are held out.
 pub struct Scorer<'a> {
     ground: &'a Ground<'a>,
@@ -187,7 +207,7 @@ impl<'a> Scorer<'a> {
 
     /// Share of null data sets in which some candidate of the library does as well as each of `forms` on runs that were not fitted, around
     /// the set `root`; see [`Grams::screen`].
-    pub fn chance(&self, root: &Set, gains: &[f64], repetitions: usize, seed: u64) -> Vec<(usize, f64, HeldOut)> {
+    pub fn chance(&self, root: &Set, gains: &[f64], repetitions: usize, seed: u64) -> Chance {
         let ground = self.ground;
         let mut columns: Vec<Column> = Vec::new();
         let mut groups = Vec::new();
@@ -208,16 +228,16 @@ impl<'a> Scorer<'a> {
         let own: Vec<usize> = (0..free).collect();
         let plain: Vec<Group> = groups.iter().map(|g| g.1.clone()).collect();
         let (improvements, null) = grams.screen(&own, &plain, gains, repetitions, seed);
-        ground
+        let alone = ground
             .usable
             .iter()
             .filter_map(|effect| {
                 let forms = (0..groups.len()).filter(|k| groups[*k].0 == *effect);
                 let best = forms.max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))?;
-                let p = super::stats::p_value(improvements[best], &null);
-                Some((*effect, p, grams.hold_out(&own, &plain[best])))
+                Some((*effect, grams.hold_out(&own, &plain[best])))
             })
-            .collect()
+            .collect();
+        Chance { null, alone }
     }
 
     /// Phased coefficients of every run of a set, pair by pair.

@@ -247,6 +247,7 @@ mod tests {
         Finding {
             name: name.into(),
             status: Status::Named,
+            probability: Some(0.99),
             gain: 0.3,
             gain_interval: [0.2, 0.4],
             p_null: 0.002,

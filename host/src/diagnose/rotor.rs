@@ -299,6 +299,23 @@ pub struct RunInput<'a> {
     pub revolutions: f64,
 }
 
+/// Wave times after which the crest is full to a few thousandths.
+const WAVE_GONE: f64 = 5.0;
+/// First step after a rise, and how later ones grow with the time since, in wave times.
+const RISE_STEP: f64 = 0.3;
+const RISE_GROWTH: f64 = 0.5;
+
+/// What the drive asks of the wave.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Wanted {
+    /// No wave.
+    Off,
+    /// A wave at its full height.
+    On,
+    /// A wave that builds up since a rise, when a share of its height was missing.
+    Rising { since: f64, missing: f64 },
+}
+
 struct State {
     t: f64,
     angle: f64,
@@ -374,13 +391,23 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
     let directions = &input.schedule.directions;
 
     // Advances to `until` with the drive on or off, answering queries on the way.
-    let mut advance = |state: &mut State, until: f64, on: bool, brake: f64, warmth: f64, next: &mut usize| {
+    let mut advance = |state: &mut State, until: f64, drive: Wanted, brake: f64, warmth: f64, next: &mut usize| {
+        let on = drive != Wanted::Off;
         while state.t < until - 1e-12 && *next < count {
             while direction_index + 1 < directions.len() && directions[direction_index + 1].0 <= state.t + 1e-12 {
                 direction_index += 1;
             }
             let sign = directions.get(direction_index).map_or(1.0, |d| d.1);
             let mut end = until.min(state.t + step_limit);
+            let mut crest = 1.0;
+            if let Wanted::Rising { since, missing } = drive {
+                // Steps that grow with the time since the rise: the crest moves less and less.
+                let age = state.t - since;
+                if age < WAVE_GONE * wave_time {
+                    end = end.min(state.t + (RISE_STEP * wave_time).max(RISE_GROWTH * age));
+                    crest = 1.0 - missing * (-(0.5 * (state.t + end) - since) / wave_time).exp();
+                }
+            }
             if let Some(d) = directions.get(direction_index + 1) {
                 end = end.min(d.0);
             }
@@ -421,7 +448,7 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
                     gain += settle * (-(since + middle) / settle_tau).exp();
                 }
                 on_time += end - state.t;
-                target = sign * free_speed * gain.max(0.0);
+                target = sign * free_speed * gain.max(0.0) * crest;
                 acceleration *= (1.0 + runout_torque * modulation).max(0.01);
             }
             if sag != 0.0 {
@@ -470,22 +497,18 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
         let off_until = period.end.min(input.drive_end);
         if on_from > period.start + 1e-9 {
             let overrun = wave.overrun_s(period.start, state.speed);
-            advance(&mut state, on_from.min(period.start + overrun), true, off_brake, warmth, &mut next);
+            advance(&mut state, on_from.min(period.start + overrun), Wanted::On, off_brake, warmth, &mut next);
             if ring_down > 0.0 && duty < 1.0 - 1e-9 {
                 let dying = period.start + overrun + ring_down;
-                advance(&mut state, on_from.min(dying), false, on_acceleration, warmth, &mut next);
+                advance(&mut state, on_from.min(dying), Wanted::Off, on_acceleration, warmth, &mut next);
             }
-            advance(&mut state, on_from, false, off_brake, warmth, &mut next);
-            if duty > 0.0 {
-                let overtaken = on_from + wave.overtaking_s(on_from, state.speed);
-                advance(&mut state, overtaken.min(off_until), false, on_acceleration, warmth, &mut next);
-                wave.rise(on_from, off_until);
-            }
-        } else if period.start <= 0.0 || duty > 0.0 {
-            wave.rise(on_from, off_until);
+            advance(&mut state, on_from, Wanted::Off, off_brake, warmth, &mut next);
         }
         if duty > 0.0 {
-            advance(&mut state, off_until, true, off_brake, warmth, &mut next);
+            let missing = wave.missing(on_from);
+            let drive = if wave_time > 0.0 && missing > 1e-3 { Wanted::Rising { since: on_from, missing } } else { Wanted::On };
+            wave.rise(on_from, off_until);
+            advance(&mut state, off_until, drive, off_brake, warmth, &mut next);
         }
         if heat_loss != 0.0 {
             warmth = duty + (warmth - duty) * (-length / heat_tau).exp();
@@ -495,12 +518,12 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut 
         let last = true_time(count - 1).max(state.t) + 1e-6;
         let overrun = wave.overrun_s(state.t, state.speed);
         let overrun_end = last.min(state.t + overrun);
-        advance(&mut state, overrun_end, true, off_brake, warmth, &mut next);
+        advance(&mut state, overrun_end, Wanted::On, off_brake, warmth, &mut next);
         if ring_down > 0.0 {
             let dying = last.min(state.t + ring_down);
-            advance(&mut state, dying, false, on_acceleration, warmth, &mut next);
+            advance(&mut state, dying, Wanted::Off, on_acceleration, warmth, &mut next);
         }
-        advance(&mut state, last, false, off_brake, warmth, &mut next);
+        advance(&mut state, last, Wanted::Off, off_brake, warmth, &mut next);
     }
     // Times before the start of the drive, or after numerical ties.
     while angle.len() < count {
@@ -555,18 +578,9 @@ impl Wave {
         time
     }
 
-    /// How long, after a rise, the crest stays slower than a rotor of `speed` that it still brakes, in s.
-    fn overtaking_s(&self, rise: f64, speed: f64) -> f64 {
-        if self.tau <= 0.0 {
-            return 0.0;
-        }
-        let missing = 1.0 - self.crest_at(rise) / self.full;
-        let mut time = 0.0;
-        for _ in 0..4 {
-            let ratio = ((speed.abs() - self.rate * time).max(0.0) / self.full).min(0.98);
-            time = self.tau * (missing / (1.0 - ratio)).max(1.0).ln();
-        }
-        time
+    /// Share of the full crest that is missing at a time.
+    fn missing(&self, t: f64) -> f64 {
+        if self.tau > 0.0 && self.full > 0.0 { 1.0 - self.crest_at(t) / self.full } else { 0.0 }
     }
 }
 

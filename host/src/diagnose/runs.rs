@@ -93,16 +93,11 @@ pub fn diagnose_runs(problem: &Problem, home: &Parameters, settings: &Settings, 
         let before = Ground::new(&original, home.clone(), &effects, Vec::new());
         let root = before.root(unrepaired);
         let held = Scorer::new(&before, settings.seed).held_out(&root);
-        outcome.held_out = held.against(&mirrored(&outcome.held_out));
+        outcome.held_out = held.against(&outcome.held_out);
         outcome.findings.insert(0, gaps.finding);
     }
     outcome.not_judged = refused;
     outcome
-}
-
-/// Both sides of the pairs as the second one.
-fn mirrored(held: &HeldOut) -> HeldOut {
-    held.clone()
 }
 
 /// Lost words of samples, unless a wrong clock does as well.
@@ -129,14 +124,14 @@ fn clock_explains(problem: &Problem, baseline: &Model, gaps: &Gaps) -> bool {
 fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
     let scorer = Scorer::new(ground, settings.seed);
     let root = sets.iter().find(|s| s.parts.is_empty()).unwrap_or(&sets[0]);
-    let judged = judge(sets, root.weighed.left, &|k, tau| ground.level.log_prior_of(k, tau));
+    let mut judged = judge(sets, root.weighed.left, &|k, tau| ground.level.log_prior_of(k, tau));
+    let uncertain = strike_uncertain(ground, &scorer, sets, root, &mut judged, settings.seed);
     let accepted = accepted_set(sets, &judged, root);
     let base = scorer.held_out(root);
     let held_out = base.against(&scorer.held_out(accepted));
     let mut findings = Vec::new();
     // Chance is judged with the gains that the accepted effects leave.
     let chance = scorer.chance(root, &accepted.weighed.gains, settings.repetitions, settings.seed);
-    let of = |e: usize| chance.iter().find(|c| c.0 == e);
     for part in &accepted.parts {
         let effect = &ground.effects[part.effect];
         let less = without(ground, sets, accepted, part.effect);
@@ -153,7 +148,7 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
             probability: Some(inclusion(&judged, part.effect)),
             gain: held.gain(),
             gain_interval: held.gain_interval(settings.seed),
-            p_null: of(part.effect).map_or(1.0, |c| c.1),
+            p_null: chance.p(&held),
             parameters: estimates(&scorer, effect, accepted, part),
             conflicts,
             next_experiment: effect.next_experiment.to_owned(),
@@ -168,7 +163,7 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
             continue;
         }
         let rival = judged.one_of.contains(effect);
-        let held = of(*effect).map(|c| c.2.clone()).unwrap_or_default();
+        let held = chance.alone(*effect).cloned().unwrap_or_default();
         let set = sets.iter().find(|s| s.key().contains(effect));
         let parameters = set
             .and_then(|s| s.parts.iter().find(|p| p.effect == *effect).map(|p| estimates(&scorer, e, s, p)))
@@ -179,7 +174,7 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
             probability: Some(*probability),
             gain: held.gain(),
             gain_interval: held.gain_interval(settings.seed),
-            p_null: of(*effect).map_or(1.0, |c| c.1),
+            p_null: chance.p(&held),
             parameters,
             conflicts: if rival {
                 judged.one_of.iter().filter(|o| *o != effect).map(|o| ground.effects[*o].name.to_owned()).collect()
@@ -188,14 +183,16 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
             },
             next_experiment: e.next_experiment.to_owned(),
             share: 0.0,
-            note: if judged.withheld {
+            note: if uncertain.contains(effect) {
+                "likely, but on runs it was not fitted to it does not help for certain".to_owned()
+            } else if judged.withheld {
                 "explains part of it, but more lives where no effect acts: not the cause".to_owned()
             } else {
                 String::new()
             },
         });
     }
-    for (effect, p, held) in &chance {
+    for (effect, held) in &chance.alone {
         let e = &ground.effects[*effect];
         if findings.iter().all(|f| f.name != e.name) {
             findings.push(Finding {
@@ -204,7 +201,7 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
                 probability: Some(inclusion(&judged, *effect)),
                 gain: held.gain(),
                 gain_interval: held.gain_interval(settings.seed),
-                p_null: *p,
+                p_null: chance.p(held),
                 parameters: Vec::new(),
                 conflicts: Vec::new(),
                 next_experiment: e.next_experiment.to_owned(),
@@ -228,6 +225,29 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
         findings,
         unknown,
         not_judged: Vec::new(),
+    }
+}
+
+/// Strikes the names of effects that do not for certain help on runs they were not fitted to; which they were.
+fn strike_uncertain(
+    ground: &Ground,
+    scorer: &Scorer,
+    sets: &[Set],
+    root: &Set,
+    judged: &mut Judgement,
+    seed: u64,
+) -> Vec<usize> {
+    let mut struck = Vec::new();
+    loop {
+        let accepted = accepted_set(sets, judged, root);
+        let all = scorer.held_out(accepted);
+        let doubtful = accepted.parts.iter().find(|p| {
+            let held = scorer.held_out(&without(ground, sets, accepted, p.effect)).against(&all);
+            judged.named.contains(&p.effect) && held.gain_interval(seed)[0] <= 0.0
+        });
+        let Some(effect) = doubtful.map(|p| p.effect) else { return struck };
+        judged.named.retain(|e| *e != effect);
+        struck.push(effect);
     }
 }
 

@@ -350,6 +350,7 @@ impl<'a> Ground<'a> {
             weighed = ask(&[], &Start { taus: weighed.taus, ..start.clone() }, &level).unwrap_or_else(failed);
         }
         // Terms without physics, one after the other, at the spreads that the gains have without them.
+        let without = without.max(weighed.left);
         let near = Start { variance: weighed.variance, taus: weighed.taus, without, free_taus: false };
         let mut chosen: Vec<usize> = Vec::new();
         let mut best = weighed.log;
@@ -378,7 +379,8 @@ impl<'a> Ground<'a> {
             .iter()
             .map(|p| -0.5 * (((2.0 * p).sqrt() / AMPLITUDE.0).ln() / AMPLITUDE.1).powi(2))
             .sum::<f64>();
-        let score = best + prior + amplitude - EFFECT_COST * parts.len() as f64;
+        let ways: f64 = parts.iter().map(|p| (self.effects[p.effect].ways() as f64).ln()).sum();
+        let score = best + prior + amplitude - EFFECT_COST * parts.len() as f64 - ways;
         let set = Set { parts, model, score, weighed, terms: left, expanded: false };
         if std::env::var("TWUM_TRACE").is_ok() {
             eprintln!(

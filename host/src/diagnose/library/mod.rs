@@ -224,6 +224,14 @@ impl Form {
         self
     }
 
+    /// Whether two forms differ in more than where the linear search looks.
+    fn differs(&self, other: &Self) -> bool {
+        let pinned = |f: &Self| f.shapes.iter().filter(|s| s.prior.is_none()).map(|s| (s.parameter, s.start)).collect::<Vec<_>>();
+        let free = |f: &Self| f.shapes.iter().filter(|s| s.prior.is_some()).map(|s| s.parameter).collect::<Vec<_>>();
+        let sizes = |f: &Self| f.sizes.iter().map(|s| s.parameter).collect::<Vec<_>>();
+        pinned(self) != pinned(other) || free(self) != free(other) || sizes(self) != sizes(other) || self.phased != other.phased
+    }
+
     /// Its sizes as columns of a design.
     pub fn columns(&self) -> Vec<Column> {
         let shape: Vec<(P, f64)> = self.shapes.iter().map(|s| (s.parameter, s.start)).collect();
@@ -231,6 +239,13 @@ impl Form {
             .iter()
             .map(|s| Column::Scalar { parameter: s.parameter, scale: s.scale, step: s.step, shape: shape.clone() })
             .collect()
+    }
+}
+
+impl Effect {
+    /// In how many ways it may act that no parameter joins: a choice among them is a choice made on the data.
+    pub fn ways(&self) -> usize {
+        (0..self.forms.len()).filter(|k| self.forms[..*k].iter().all(|f| f.differs(&self.forms[*k]))).count()
     }
 }
 
