@@ -5,8 +5,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
 use twum_host::diagnose::answer::{Diagnosis, ParameterAnswer, Verdict};
-use twum_host::diagnose::fit::misfits;
-use twum_host::diagnose::{Details, Options, diagnose};
+use twum_host::diagnose::{Options, diagnose};
 use twum_host::model::effects::EffectSet;
 use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::{History, MotorPlant, Solver};
@@ -120,19 +119,6 @@ fn timed_edges_of_the_motor_model_name_nothing() {
     }
 }
 
-/// Fails if the fitted model, sampled as the data were, leaves another error than the data do: then the sampling is not
-/// understood, and what is left of it would be called an effect.
-#[test]
-fn nothing_hidden_leaves_what_the_sampling_leaves() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    Sealed::new(small(), 3).make(&[]).write(folder.path(), "sealed").expect("the folder can be written");
-    let measurement = Measurement::load(folder.path()).expect("the folder can be read");
-    let (_, details) = diagnose(&[measurement], &Options::default(), &|_, _| {}).expect("it can be diagnosed");
-    let Some(Details::Runs { problem, outcome }) = details else { panic!("several runs") };
-    let [left] = misfits(&problem, [&outcome.baseline], 0.1, 0.01, 4, 1).expect("the runs are sampled");
-    assert!((0.85..1.3).contains(&left), "{left} times what the sampling leaves");
-}
-
 /// Fails if the friction's refit swallows the dead zone again, or the sampling bends it: the hidden threshold is known.
 #[test]
 fn a_dead_zone_comes_with_its_threshold() {
@@ -165,23 +151,6 @@ fn a_cause_that_is_not_in_the_library_lends_its_data_to_no_other() {
     let options = Options { without: vec!["high-duty-saturation".to_owned()], ..Options::default() };
     let d = answered(&sealed, [hidden], &options);
     assert_eq!(d.verdict, Verdict::Unknown, "{:?}", d.suspected());
-}
-
-/// Fails if data that a model with a runout makes of itself are not like those it was fitted to: the runout's phases, or the angle they hang
-/// on, are lost on the way.
-#[test]
-fn a_runout_leaves_what_the_sampling_leaves() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    Sealed::new(small(), 11)
-        .make(&[hide("preload-runout", 1.5, 11)])
-        .write(folder.path(), "sealed")
-        .expect("it can be written");
-    let measurement = Measurement::load(folder.path()).expect("the folder can be read");
-    let (_, details) = diagnose(&[measurement], &Options::default(), &|_, _| {}).expect("it can be diagnosed");
-    let Some(Details::Runs { problem, outcome }) = details else { panic!("several runs") };
-    let models = [&outcome.baseline, &outcome.extended];
-    let [before, after] = misfits(&problem, models, 0.1, 0.01, 4, 1).expect("the runs are sampled");
-    assert!(before > 4.0 * after && (0.5..3.0).contains(&after), "{before} and {after} times what the sampling leaves");
 }
 
 /// Fails if an effect is no longer found, or comes with a wrong name beside it.

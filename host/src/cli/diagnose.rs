@@ -5,6 +5,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::diagnose::cache::{self, Kept};
+use twum_host::diagnose::library::known_effects;
 use twum_host::diagnose::{Details, Options, answer, diagnose, motor, report};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
@@ -34,6 +35,9 @@ pub struct Args {
     /// Simulation to start from
     #[arg(long, value_enum, default_value = "physical")]
     flavour: FlavourArg,
+    /// Take an effect out of the library (may be repeated): what would be said if it were not known?
+    #[arg(long, value_name = "EFFECT")]
+    without: Vec<String>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -98,8 +102,13 @@ pub fn run(args: Args) -> Result<ExitCode> {
         quick: args.quick,
         coasting: args.flavour == FlavourArg::Thesis,
         motor: motor_file.as_ref().map(|m| m.parameters(flavour)),
-        ..Options::default()
+        without: args.without.clone(),
     };
+    for name in &args.without {
+        if !known_effects().contains(&name.as_str()) {
+            bail!("--without {name}: no effect of this name; the names are {}", known_effects().join(", "));
+        }
+    }
     // Reports and models need what the answer was drawn from.
     let fresh = args.no_cache || args.report.is_some() || args.save_model.is_some();
     let place = cache::default_folder().and_then(|folder| cache::Place::new(&folder, &measurements, &options));
@@ -128,9 +137,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     print!("{}", if args.json { kept.json } else { kept.text });
     if let Some(path) = &args.save_model {
         let (Some(motor_file), Some(Details::Runs { outcome, .. })) = (&motor_file, &details) else {
-            bail!(
-                "--save-model needs several runs of a TWUM: what one run shows is not enough to change a motor's file"
-            );
+            bail!("--save-model needs runs of a TWUM that could be used, and a motor file");
         };
         let text = motor::file(motor_file, flavour, &outcome.extended.parameters, &diagnosis)?;
         std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;

@@ -3,8 +3,6 @@
 use super::observe::Observed;
 use super::rotor::{P, Parameters, RunInput, RunTerms, simulate, warm_up};
 use crate::record::measurement::RunKind;
-use rand::{Rng, RngExt};
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -123,58 +121,6 @@ impl Problem {
     pub fn widened(mut self) -> Self {
         self.runs.iter_mut().for_each(Observed::widen);
         self
-    }
-
-    /// The same experiment as `model` would have made it: sampled at the same times, each run with its own speed (relative spread
-    /// `gain_spread`) and its own place on the wheel. `None` unless every run was sampled.
-    pub fn remade(&self, model: &Model, gain_spread: f64, rng: &mut impl Rng) -> Option<Self> {
-        let sampled = |r: &Observed| r.kind == RunKind::Speed && r.pitch > 0.0 && r.half_sample_s() > 0.0;
-        if !self.runs.iter().all(sampled) {
-            return None;
-        }
-        let warmth = self.warmth(&model.parameters);
-        let drawn: Vec<(f64, f64)> = self
-            .runs
-            .iter()
-            .map(|_| (1.0 + gain_spread * rng.sample::<f64, _>(StandardNormal), rng.random::<f64>()))
-            .collect();
-        let runs = (0..self.runs.len())
-            .into_par_iter()
-            .map(|i| self.run_remade(i, model, warmth[i], drawn[i].0, drawn[i].1))
-            .collect();
-        Some(Self { runs, ..self.clone() }.widened())
-    }
-
-    fn run_remade(&self, i: usize, model: &Model, warmth: f64, gain: f64, place: f64) -> Observed {
-        let run = &self.runs[i];
-        let terms = &model.terms[i];
-        let (start, period) = (run.times[0], 2.0 * run.half_sample_s());
-        let times: Vec<f64> =
-            (0..((run.record_end - start) / period) as usize + 1).map(|k| start + k as f64 * period).collect();
-        let parameters = model.parameters.with(P::FreeSpeed, gain * model.parameters.get(P::FreeSpeed));
-        // What hangs on the angle reads the encoder: first the one that was measured, then the one that is made.
-        let mut read: Vec<f64> = times.iter().map(|t| run.angle_at(*t)).collect();
-        for _ in 0..if *terms == RunTerms::default() { 1 } else { 3 } {
-            let input = RunInput { times: &times, half_sample_s: 0.0, angles: &read, ..self.input(i, warmth) };
-            let mut angle = Vec::with_capacity(times.len());
-            simulate(&input, &parameters, terms, &mut angle, &mut Vec::new());
-            read =
-                angle.iter().zip(&read).map(|(a, r)| a + terms.encoder_error(*r) - terms.encoder_error(0.0)).collect();
-        }
-        let high = 0.5 * (1.0 + parameters.get(P::EdgeOffset));
-        let level = |k: usize| (read[k] / (2.0 * run.pitch) + place).rem_euclid(1.0) < high;
-        let edges: Vec<(f64, bool)> = (1..times.len())
-            .filter(|k| level(*k) != level(k - 1))
-            .map(|k| (times[k] - 0.5 * period, level(k)))
-            .collect();
-        let mut made = run.clone();
-        made.put_edges(&edges, level(0), start, run.record_end);
-        made
-    }
-
-    /// Whether the order of the runs is known.
-    pub fn ordered(&self) -> bool {
-        self.sequence.is_some()
     }
 
     /// Place of each run in the order of making; all 0 where that is unknown.

@@ -171,6 +171,11 @@ const BEFORE_THE_PLANT: [(&str, &str, &str); 4] = [
     ),
 ];
 
+/// Names of all effects that can be found.
+pub fn known_effects() -> Vec<&'static str> {
+    BEFORE_THE_PLANT.iter().map(|e| e.0).chain(library(1.0).iter().map(|e| e.name)).collect()
+}
+
 /// The sentence and the equation of an effect.
 pub fn says(name: &str) -> Option<(&'static str, &'static str)> {
     let early = BEFORE_THE_PLANT.iter().find(|e| e.0 == name).map(|e| (e.1, e.2));
