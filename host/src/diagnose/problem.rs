@@ -123,6 +123,11 @@ impl Problem {
         self
     }
 
+    /// Whether the order of the runs is known.
+    pub fn ordered(&self) -> bool {
+        self.sequence.is_some()
+    }
+
     /// Place of each run in the order of making; all 0 where that is unknown.
     pub fn ranks(&self) -> Vec<f64> {
         let mut rank = vec![0.0; self.runs.len()];
