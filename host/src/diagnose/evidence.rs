@@ -214,6 +214,7 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
     let independent = equations.independent();
     let mut taus = start.taus;
     let mut found = None;
+    let mut common_freedom = None;
     for round in 0..ROUNDS {
         let reduced: Vec<Reduced> = equations.runs.iter().map(|r| reduce(r, q, &powers, variance)).collect();
         if start.free_taus && (round == 1 || round + 1 == ROUNDS) {
@@ -224,7 +225,9 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
         let gains = level.covariance(&taus).cholesky()?;
         let joint = join(&reduced, &gains, q.common.len())?;
         let dimension = joint.x.len() as f64;
-        let freedom = reduced.iter().map(|r| r.freedom).sum::<f64>() + dimension - joint.chol.inverse().trace();
+        // What gains and common columns take hardly changes from round to round.
+        let taken = *common_freedom.get_or_insert_with(|| dimension - joint.chol.inverse().trace());
+        let freedom = reduced.iter().map(|r| r.freedom).sum::<f64>() + taken;
         let quadratic = reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained;
         let prior = joint.x.dot(&joint.x) + reduced.iter().map(|r| r.own_quadratic).sum::<f64>();
         let left = (quadratic - prior).max(0.0) * variance;

@@ -26,6 +26,10 @@ const MOST_EXPANDED: usize = 6;
 const TRIED: usize = 4;
 /// A set this far behind the best, in nats, is not looked at further: what it leads to has to make up for that too.
 const WINDOW: f64 = 9.0;
+/// Linear gain in nats from which a form is refitted: a refit seldom finds more than another nat, and an effect costs three.
+const LEAST_LOOK: f64 = 2.0;
+/// Nats behind the strongest candidate from which one waits for a later set.
+const FAR_BEHIND: f64 = 20.0;
 /// A plausible amplitude of what goes with the angle (relative, or rad), and its log deviation.
 const AMPLITUDE: (f64, f64) = (0.08, 1.2);
 
@@ -174,23 +178,25 @@ impl<'a> Ground<'a> {
             let list: Vec<String> = candidates.iter().take(6).map(|c| format!("{}/{} {:.1}", self.effects[c.effect].name, c.form, c.gain)).collect();
             eprintln!("expand {} {:.2}: {}", self.names(from), from.score, list.join(", "));
         }
-        let mut tried: Vec<usize> = Vec::new();
-        for c in &candidates {
-            let new = !tried.contains(&c.effect);
-            let second = !new && tried.iter().filter(|t| **t == c.effect).count() < 2;
-            if (new && tried.len() >= most && !tried.contains(&c.effect)) || !(new || second) {
+        let strongest = candidates.first().map_or(0.0, |c| c.gain);
+        let mut tried: Vec<(usize, usize)> = Vec::new();
+        for c in candidates.iter().filter(|c| c.gain > strongest - FAR_BEHIND) {
+            // A second form of an effect is worth a refit where no parameter joins it to the first.
+            let forms: Vec<usize> = tried.iter().filter(|t| t.0 == c.effect).map(|t| t.1).collect();
+            let effects: std::collections::BTreeSet<usize> = tried.iter().map(|t| t.0).collect();
+            let another = match forms.first() {
+                None => effects.len() < most,
+                Some(first) => forms.len() < 2 && self.effects[c.effect].forms[*first].differs(&self.effects[c.effect].forms[c.form]),
+            };
+            if !another {
                 continue;
             }
-            let distinct = tried.iter().collect::<std::collections::BTreeSet<_>>().len();
-            if new && distinct >= most {
-                continue;
-            }
-            tried.push(c.effect);
+            tried.push((c.effect, c.form));
             let mut target = from.key();
             target.push(c.effect);
             target.sort_unstable();
             let known = pool.iter().position(|s| s.key() == target);
-            if known.is_some() && new && from.parts.len() > 1 {
+            if known.is_some() && forms.is_empty() && from.parts.len() > 1 {
                 continue;
             }
             let set = self.with(from, c, &pool[0]);
@@ -465,7 +471,7 @@ impl<'a> Ground<'a> {
                 c.values = values;
             }
         });
-        kept.retain(|c| c.gain > 1.0);
+        kept.retain(|c| c.gain > LEAST_LOOK);
         kept.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         kept
     }

@@ -230,7 +230,7 @@ impl Form {
     }
 
     /// Whether two forms differ in more than where the linear search looks.
-    fn differs(&self, other: &Self) -> bool {
+    pub fn differs(&self, other: &Self) -> bool {
         let pinned = |f: &Self| f.shapes.iter().filter(|s| s.prior.is_none()).map(|s| (s.parameter, s.start)).collect::<Vec<_>>();
         let free = |f: &Self| f.shapes.iter().filter(|s| s.prior.is_some()).map(|s| s.parameter).collect::<Vec<_>>();
         let sizes = |f: &Self| f.sizes.iter().map(|s| s.parameter).collect::<Vec<_>>();
