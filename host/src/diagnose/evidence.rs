@@ -105,8 +105,19 @@ pub struct Start {
     pub taus: Taus,
     /// Squared error without effects, in rpm²·s.
     pub without: f64,
-    /// Whether the spreads are to be found, or stay.
-    pub free_taus: bool,
+    /// How the spreads are found.
+    pub spreads: Spreads,
+}
+
+/// How the spreads of the gains are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Spreads {
+    /// They stay.
+    Stay,
+    /// From where they are.
+    Near,
+    /// From everywhere.
+    Anywhere,
 }
 
 struct Reduced {
@@ -217,10 +228,12 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
     let mut common_freedom = None;
     for round in 0..ROUNDS {
         let reduced: Vec<Reduced> = equations.runs.iter().map(|r| reduce(r, q, &powers, variance)).collect();
-        if start.free_taus && (round == 1 || round + 1 == ROUNDS) {
-            taus = level.best(taus, &|c| {
+        if start.spreads != Spreads::Stay && (round == 1 || round + 1 == ROUNDS) {
+            let likely = |c: &Cholesky<f64, Dyn>| {
                 join(&reduced, c, q.common.len()).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det))
-            });
+            };
+            let anywhere = start.spreads == Spreads::Anywhere && round == 1;
+            taus = if anywhere { level.best_of_all(taus, &likely) } else { level.best(taus, &likely) };
         }
         let gains = level.covariance(&taus).cholesky()?;
         let joint = join(&reduced, &gains, q.common.len())?;

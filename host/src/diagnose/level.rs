@@ -83,8 +83,25 @@ impl Level {
         -0.5 * ((tau / self.medians[which]).ln() / LOG_SDS[which]).powi(2)
     }
 
-    /// The spreads that make the gains likeliest, by steps along one spread at a time that become finer.
+    /// The spreads that make the gains likeliest, from `start`.
     pub fn best(&self, start: Taus, log_likelihood: &dyn Fn(&Cholesky<f64, Dyn>) -> f64) -> Taus {
+        self.climb(start, log_likelihood).1
+    }
+
+    /// The same from several starts: a spread over duty, direction or order, and the one by chance, each look like the other until both
+    /// are moved.
+    pub fn best_of_all(&self, start: Taus, log_likelihood: &dyn Fn(&Cholesky<f64, Dyn>) -> f64) -> Taus {
+        let elsewhere = (1..5).map(|k| {
+            let mut taus = self.medians;
+            taus[k] = 3.0 * self.medians[0];
+            taus
+        });
+        let found = std::iter::once(start).chain(elsewhere).map(|s| self.climb(s, log_likelihood));
+        found.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(start, |b| b.1)
+    }
+
+    /// By steps along one spread at a time that become finer.
+    fn climb(&self, start: Taus, log_likelihood: &dyn Fn(&Cholesky<f64, Dyn>) -> f64) -> (f64, Taus) {
         let value = |t: &Taus| {
             self.covariance(t).cholesky().map_or(f64::NEG_INFINITY, |c| log_likelihood(&c) + self.log_prior(t))
         };
@@ -107,6 +124,6 @@ impl Level {
                 }
             }
         }
-        best.1
+        best
     }
 }

@@ -137,14 +137,6 @@ impl Observed {
         if half > 5e-5 { half } else { 0.0 }
     }
 
-    /// Measured angle at a time in s, linear between edges, in rad.
-    pub fn angle_at(&self, t: f64) -> f64 {
-        let after = self.times.partition_point(|k| *k <= t).clamp(1, self.times.len() - 1);
-        let (from, to) = (self.times[after - 1], self.times[after]);
-        let share = ((t - from) / (to - from).max(1e-9)).clamp(0.0, 1.0);
-        self.angles[after - 1] + share * (self.angles[after] - self.angles[after - 1])
-    }
-
     /// Revolutions made during the run.
     pub fn revolutions(&self) -> f64 {
         let mut total = 0.0;

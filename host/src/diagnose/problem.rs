@@ -137,12 +137,6 @@ impl Problem {
         rank
     }
 
-    /// Root mean square of the runs' mean speeds in rpm.
-    pub fn rms_speed_rpm(&self) -> f64 {
-        let square = |r: &Observed| r.mean_speed_rpm().powi(2);
-        (self.runs.iter().map(square).sum::<f64>() / self.runs.len().max(1) as f64).sqrt()
-    }
-
     /// How many duties the open-loop runs have.
     pub fn duties(&self) -> usize {
         let mut duties: Vec<f64> = self.runs.iter().filter_map(|r| r.duty).collect();

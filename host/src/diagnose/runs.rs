@@ -228,7 +228,7 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
     }
 }
 
-/// Strikes the names of effects that do not for certain help on runs they were not fitted to; which they were.
+/// Strikes effects that do not for certain help on runs they were not fitted to, or whose size could be none; which they were.
 fn strike_uncertain(
     ground: &Ground,
     scorer: &Scorer,
@@ -243,11 +243,21 @@ fn strike_uncertain(
         let all = scorer.held_out(accepted);
         let doubtful = accepted.parts.iter().find(|p| {
             let held = scorer.held_out(&without(ground, sets, accepted, p.effect)).against(&all);
-            judged.named.contains(&p.effect) && held.gain_interval(seed)[0] <= 0.0
+            let sizes = estimates(scorer, &ground.effects[p.effect], accepted, p);
+            let is_size = |name: &str| {
+                let reported = ground.effects[p.effect].reported.iter().find(|r| r.name == name);
+                reported.is_none_or(|r| ground.effects[p.effect].forms[p.form].sizes.iter().any(|s| s.parameter == r.parameter))
+            };
+            let sized = sizes.iter().filter(|e| is_size(&e.name)).any(|e| e.interval[0] > 0.0 || e.interval[1] < 0.0);
+            held.gain_interval(seed)[0] <= 0.0 || !sized
         });
         let Some(effect) = doubtful.map(|p| p.effect) else { return struck };
         judged.named.retain(|e| *e != effect);
-        struck.push(effect);
+        if judged.one_of.contains(&effect) {
+            struck.extend(judged.one_of.drain(..));
+        } else {
+            struck.push(effect);
+        }
     }
 }
 

@@ -5,7 +5,7 @@
 
 use super::baseline::{baseline_free, first_noise};
 use super::discrepancy::{SIZE, Term, terms};
-use super::evidence::{Equations, Question, Start, Weighed, independent, weigh};
+use super::evidence::{Equations, Question, Spreads, Start, Weighed, independent, weigh};
 use super::level::Level;
 use super::library::{Effect, Form, Phased, Size};
 use super::prior::Prior;
@@ -16,6 +16,9 @@ use rayon::prelude::*;
 
 /// What an effect costs before the data, in nats: one in twenty effects is there.
 const EFFECT_COST: f64 = 3.0;
+/// What a second effect over the same coordinate costs besides: the difference between the library's form of one and the real one lies
+/// there too.
+const SAME_COORDINATE: f64 = 6.0;
 /// What a term without physics costs: a cause of the library is the likelier explanation by far, but not beyond all evidence.
 pub const TERM_COST: f64 = 10.0;
 /// Most effects in a set.
@@ -325,7 +328,7 @@ impl<'a> Ground<'a> {
             ),
             taus: self.level.believed(),
             without,
-            free_taus: true,
+            spreads: Spreads::Anywhere,
         };
         let ask = |terms: &[usize], start: &Start, level: &Level| {
             let mut q = base.clone();
@@ -353,11 +356,11 @@ impl<'a> Ground<'a> {
         if let Some(r) = root {
             let shift = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
             let level = self.level.beside_a_shift((shift / weighed.gains.len().max(1) as f64).sqrt());
-            weighed = ask(&[], &Start { taus: weighed.taus, ..start.clone() }, &level).unwrap_or_else(failed);
+            weighed = ask(&[], &Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() }, &level).unwrap_or_else(failed);
         }
         // Terms without physics, one after the other, at the spreads that the gains have without them.
         let without = without.max(weighed.left);
-        let near = Start { variance: weighed.variance, taus: weighed.taus, without, free_taus: false };
+        let near = Start { variance: weighed.variance, taus: weighed.taus, without, spreads: Spreads::Stay };
         let mut chosen: Vec<usize> = Vec::new();
         let mut best = weighed.log;
         let mut left = Vec::new();
@@ -385,8 +388,11 @@ impl<'a> Ground<'a> {
             .iter()
             .map(|p| -0.5 * (((2.0 * p).sqrt() / AMPLITUDE.0).ln() / AMPLITUDE.1).powi(2))
             .sum::<f64>();
+        let amplitude = if self.parts_admissible(&parts, &weighed.powers) { amplitude } else { f64::NEG_INFINITY };
         let ways: f64 = parts.iter().map(|p| (self.effects[p.effect].ways() as f64).ln()).sum();
-        let score = best + prior + amplitude - EFFECT_COST * parts.len() as f64 - ways;
+        let coordinates: std::collections::BTreeSet<_> = parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
+        let shared = (parts.len() - coordinates.len()) as f64;
+        let score = best + prior + amplitude - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
         let set = Set { parts, model, score, weighed, terms: left, expanded: false };
         if std::env::var("TWUM_TRACE").is_ok() {
             eprintln!(
@@ -400,6 +406,24 @@ impl<'a> Ground<'a> {
             );
         }
         set
+    }
+
+    /// Whether what goes with the angle goes with it once or twice a turn before all: a rhythm of the third harmonic and beyond is another
+    /// cause (poles, teeth, a contact of many points).
+    fn parts_admissible(&self, parts: &[Part], powers: &[f64]) -> bool {
+        let mut at = 0;
+        parts.iter().all(|part| {
+            let own = &powers[at.min(powers.len())..(at + part.phased.len()).min(powers.len())];
+            at += part.phased.len();
+            let order = |p: &Phased| match p {
+                Phased::Runout(h) | Phased::Eccentricity(h) => *h,
+                Phased::Gravity => 0,
+            };
+            let (low, high) = part.phased.iter().zip(own).fold((0.0, 0.0), |(low, high), (p, power)| {
+                if order(p) < 2 { (low + power, high) } else { (low, high + power) }
+            });
+            high <= low
+        })
     }
 
     /// All forms of the effects `among` beside a set, weighed linearly: the two best forms of each, best effects first.
@@ -435,19 +459,19 @@ impl<'a> Ground<'a> {
             q.own.extend(pairs.iter().enumerate().map(|(i, c)| (*c, group + i / 2)));
             weigh(&equations, &self.level, &q, start)
         };
-        let start = |taus, free_taus| Start {
+        let start = |taus, spreads| Start {
             variance: from.weighed.variance,
             taus,
             without: from.weighed.left.max(0.0),
-            free_taus,
+            spreads,
         };
         let believed = self.level.believed();
-        let Some(now) = ask(&[], &[], &start(from.weighed.taus, false)) else { return Vec::new() };
+        let Some(now) = ask(&[], &[], &start(from.weighed.taus, Spreads::Stay)) else { return Vec::new() };
         let mut weighed: Vec<Candidate> = forms
             .par_iter()
             .filter_map(|(effect, form, sizes, pairs)| {
                 let spec = &self.effects[*effect].forms[*form];
-                let looks = [from.weighed.taus, believed].into_iter().filter_map(|t| ask(sizes, pairs, &start(t, false)));
+                let looks = [from.weighed.taus, believed].into_iter().filter_map(|t| ask(sizes, pairs, &start(t, Spreads::Stay)));
                 let best = looks.max_by(|a, b| a.log.total_cmp(&b.log))?;
                 let values = self.admissible(spec, &best.common[base.common.len()..])?;
                 Some(Candidate { effect: *effect, form: *form, gain: best.log - now.log, values })
@@ -464,7 +488,7 @@ impl<'a> Ground<'a> {
         let of = |c: &Candidate| forms.iter().find(|f| f.0 == c.effect && f.1 == c.form);
         kept.par_iter_mut().for_each(|c| {
             if let Some((_, _, sizes, pairs)) = of(c)
-                && let Some(w) = ask(sizes, pairs, &start(from.weighed.taus, true))
+                && let Some(w) = ask(sizes, pairs, &start(from.weighed.taus, Spreads::Near))
                 && let Some(values) = self.admissible(&self.effects[c.effect].forms[c.form], &w.common[base.common.len()..])
             {
                 c.gain = w.log - now.log;

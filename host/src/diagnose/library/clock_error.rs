@@ -1,6 +1,6 @@
 //! `clock-error`.
 
-use super::{Effect, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 /// Largest error that is looked for: beyond a twentieth a recorder is not wrong but another.
@@ -22,6 +22,7 @@ pub(super) fn effect() -> Effect {
         name: "clock-error",
         says: "the recorder's clock runs fast or slow: speeds and PWM periods are scaled alike",
         equation: "t_recorded = (1 + ε + d·t/2)·t",
+        coordinate: Coordinate::Clock,
         needs: &[Need::PulsedDrive, Need::Edges],
         forms: std::iter::once(one(P::ClockError, 1e-3, 2e-5, (-0.1, 0.1)))
             .chain(at.into_iter().flat_map(|e| [error(e), error(-e)]))

@@ -1,6 +1,6 @@
 //! What only closed loops show: `gravity-load`, `backlash`, `reversal-miscount`.
 
-use super::{Effect, Need, Phased, one, phased, reported};
+use super::{Coordinate, Effect, Need, Phased, one, phased, reported};
 use crate::diagnose::rotor::P;
 
 pub(super) fn gravity_load() -> Effect {
@@ -8,6 +8,7 @@ pub(super) fn gravity_load() -> Effect {
         name: "gravity-load",
         says: "a weight off the axis pulls with the sine of the angle",
         equation: "load torque m·g·l·sin(θ + φ)",
+        coordinate: Coordinate::Angle,
         needs: &[Need::ClosedLoop],
         forms: vec![phased(vec![Phased::Gravity])],
         reported: Vec::new(),
@@ -21,6 +22,7 @@ pub(super) fn backlash() -> Effect {
         name: "backlash",
         says: "motion is lost at each reversal before the encoder follows",
         equation: "a gap g between motor and encoder",
+        coordinate: Coordinate::Reversal,
         needs: &[Need::ClosedLoop],
         forms: vec![one(P::Backlash, 0.02, 1e-3, (0.0, 0.3))],
         reported: vec![reported("gap_rad", "rad", P::Backlash)],
@@ -34,6 +36,7 @@ pub(super) fn reversal_miscount() -> Effect {
         name: "reversal-miscount",
         says: "the counter gains or loses counts at each reversal",
         equation: "count + n at each reversal, in the new sense or always in the same",
+        coordinate: Coordinate::Reversal,
         needs: &[Need::ClosedLoop],
         forms: vec![one(P::Miscount, 1.0, 0.1, (-5.0, 5.0)), one(P::MiscountDrift, 1.0, 0.1, (-5.0, 5.0))],
         reported: vec![

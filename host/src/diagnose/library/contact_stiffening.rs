@@ -1,6 +1,6 @@
 //! `contact-stiffening`.
 
-use super::{Effect, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 pub(super) fn effect() -> Effect {
@@ -10,6 +10,7 @@ pub(super) fn effect() -> Effect {
         name: "contact-stiffening",
         says: "the contact takes up the speed difference softly: the rotor approaches the wave's speed slowly",
         equation: "drive torque saturates within a slip band (s₀ + s)·ω_free instead of s₀·ω_free (contact force ∝ δⁿ)",
+        coordinate: Coordinate::Pulse,
         needs: &[Need::PulsedDrive],
         forms: vec![band(0.05), band(0.3), band(1.0)],
         reported: vec![reported("slip_band_excess", "1", P::SlipExtra)],

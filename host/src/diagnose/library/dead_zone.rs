@@ -1,6 +1,6 @@
 //! `dead-zone`.
 
-use super::{Effect, LogNormal, Need, one, reported};
+use super::{Coordinate, Effect, LogNormal, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 /// A gate is some hundredths of the duty wide.
@@ -13,6 +13,7 @@ pub(super) fn effect() -> Effect {
         name: "dead-zone",
         says: "part of every commanded duty is lost: below a threshold nothing moves",
         equation: "u → max(u − u₀, 0), or u above a threshold and nothing below",
+        coordinate: Coordinate::Duty,
         needs: &[Need::ThreeDuties],
         forms: std::iter::once(one(P::DeadDuty, 0.1, 0.005, (0.0, 0.6))).chain(gates).collect(),
         reported: vec![

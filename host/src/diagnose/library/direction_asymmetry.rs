@@ -1,6 +1,6 @@
 //! `direction-asymmetry`.
 
-use super::{Effect, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 pub(super) fn effect() -> Effect {
@@ -12,6 +12,7 @@ pub(super) fn effect() -> Effect {
         name: "direction-asymmetry",
         says: "the motor is faster in one direction than in the other",
         equation: "speed·(1 ± g), braking·(1 ± b)",
+        coordinate: Coordinate::Direction,
         needs: &[Need::BothDirections],
         forms: vec![speed, both, brake],
         reported: vec![

@@ -1,6 +1,6 @@
 //! `duty-quantisation`.
 
-use super::{Effect, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 pub(super) fn effect() -> Effect {
@@ -10,6 +10,7 @@ pub(super) fn effect() -> Effect {
         name: "duty-quantisation",
         says: "the duty is rounded to a coarse grid",
         equation: "u → round(N·u)/N",
+        coordinate: Coordinate::Duty,
         needs: &[Need::ThreeDuties],
         forms: (3..=26).chain([28, 30, 31, 32, 40, 50, 64]).map(f64::from).map(rounded).collect(),
         reported: vec![

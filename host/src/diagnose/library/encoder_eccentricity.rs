@@ -1,6 +1,6 @@
 //! `encoder-eccentricity`.
 
-use super::{Effect, Need, phased};
+use super::{Coordinate, Effect, Need, phased};
 use crate::diagnose::library::Phased;
 
 pub(super) fn effect() -> Effect {
@@ -9,6 +9,7 @@ pub(super) fn effect() -> Effect {
         name: "encoder-eccentricity",
         says: "the encoder wheel is not centred: its angle errs once a turn, the same at every duty",
         equation: "θ_measured = θ + Σ e_k·sin(kθ − φ_k)",
+        coordinate: Coordinate::Angle,
         needs: &[Need::HalfATurn, Need::Edges],
         forms: vec![up_to(1), up_to(2), up_to(3), up_to(4)],
         reported: Vec::new(),

@@ -1,6 +1,6 @@
 //! `frequency-settling`.
 
-use super::{Effect, LogNormal, one, reported};
+use super::{Coordinate, Effect, LogNormal, one, reported};
 use crate::diagnose::rotor::P;
 
 /// A driver that tracks its resonance finds it within some PWM periods or tenths of a second.
@@ -18,6 +18,7 @@ pub(super) fn effect() -> Effect {
         name: "frequency-settling",
         says: "the drive frequency needs time to find the resonance at each start, so the speed over- or undershoots",
         equation: "speed·(1 + δ·exp(−t/τ)), t from the start of the run, or the time driven since",
+        coordinate: Coordinate::Start,
         needs: &[],
         forms: forms.collect(),
         reported: vec![

@@ -1,6 +1,6 @@
 //! `high-duty-saturation`.
 
-use super::{Effect, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 pub(super) fn effect() -> Effect {
@@ -8,6 +8,7 @@ pub(super) fn effect() -> Effect {
         name: "high-duty-saturation",
         says: "more duty gives less and less drive: the speed–duty line bends at the top",
         equation: "u → u/(1 + u/us), u/(1 + b·u²), or min(u, 1 − f)",
+        coordinate: Coordinate::Duty,
         needs: &[Need::ThreeDuties],
         forms: vec![
             one(P::Saturation, 0.5, 0.01, (0.0, 5.0)),

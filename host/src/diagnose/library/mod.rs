@@ -126,6 +126,29 @@ pub enum Need {
     LongRun,
 }
 
+/// Over what an effect shows. Two effects over one coordinate may be one whose form is not the library's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Coordinate {
+    /// The duty.
+    Duty,
+    /// The time within a pulse of the drive.
+    Pulse,
+    /// The time since the start of a run.
+    Start,
+    /// Seconds and runs.
+    Slow,
+    /// The direction.
+    Direction,
+    /// The angle of the rotor or the wheel.
+    Angle,
+    /// The slots of the wheel.
+    Slots,
+    /// The recorder's time.
+    Clock,
+    /// Reversals.
+    Reversal,
+}
+
 /// An effect of the library.
 #[derive(Debug, Clone)]
 pub struct Effect {
@@ -135,6 +158,8 @@ pub struct Effect {
     pub says: &'static str,
     /// What the model gains.
     pub equation: &'static str,
+    /// Over what it shows.
+    pub coordinate: Coordinate,
     /// What the data have to show.
     pub needs: &'static [Need],
     /// Ways to act.

@@ -1,6 +1,6 @@
 //! `preload-runout`.
 
-use super::{Effect, Form, Need, phased};
+use super::{Coordinate, Effect, Form, Need, phased};
 use crate::diagnose::library::Phased;
 use crate::diagnose::rotor::P;
 
@@ -18,6 +18,7 @@ pub(super) fn effect() -> Effect {
         name: "preload-runout",
         says: "the drive changes with the rotor's angle: the preload is not the same all round",
         equation: "drive·(1 + Σ a_k·cos(kθ − φ_k)), on the wave's speed, its torque or the friction",
+        coordinate: Coordinate::Angle,
         needs: &[Need::HalfATurn],
         forms: on_all.chain(on_speed).chain(on_torque).chain(on_friction).collect(),
         reported: Vec::new(),

@@ -1,6 +1,6 @@
 //! `resonance-heating`.
 
-use super::{Effect, LogNormal, Need, one, reported};
+use super::{Coordinate, Effect, LogNormal, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 /// Small motors of some tens of grams warm within seconds of continuous drive: a median of 5 s, from 1 to 25 s at two deviations.
@@ -21,6 +21,7 @@ pub(super) fn effect() -> Effect {
         name: "resonance-heating",
         says: "the motor slows as it warms up: its resonance drifts away from the drive frequency",
         equation: "dT/dt = (u − T)/τ, speed·(1 − h·T)",
+        coordinate: Coordinate::Slow,
         needs: &[Need::LongRun],
         forms: cold.into_iter().chain(carried).collect(),
         reported: vec![

@@ -1,6 +1,6 @@
 //! `run-in-wear`.
 
-use super::{Effect, LogNormal, Need, one, reported};
+use super::{Coordinate, Effect, LogNormal, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 /// Contacts run in over some to some hundred revolutions.
@@ -11,6 +11,7 @@ pub(super) fn effect() -> Effect {
         name: "run-in-wear",
         says: "the motor changes for good from run to run, with the distance it has turned",
         equation: "speed·(1 + w·log(1 + revs/r₀))",
+        coordinate: Coordinate::Slow,
         needs: &[Need::Order],
         forms: [0.3, 3.0, 30.0, 300.0]
             .map(|r0| one(P::Wear, 0.05, 0.002, (-0.5, 0.5)).shaped(P::WearRevolutions, r0, REVOLUTIONS, (0.03, 1000.0)))

@@ -1,6 +1,6 @@
 //! `start-delay`.
 
-use super::{Effect, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 pub(super) fn effect() -> Effect {
@@ -8,6 +8,7 @@ pub(super) fn effect() -> Effect {
         name: "start-delay",
         says: "the wave builds up late after each rise of the PWM",
         equation: "drive starts t_d after each PWM rise",
+        coordinate: Coordinate::Pulse,
         needs: &[Need::PulsedDrive],
         forms: vec![one(P::StartDelay, 2e-3, 1e-4, (0.0, 0.015))],
         reported: vec![reported("delay_s", "s", P::StartDelay)],

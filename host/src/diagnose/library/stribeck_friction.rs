@@ -1,6 +1,6 @@
 //! `stribeck-friction`.
 
-use super::{Effect, LogNormal, Need, one, reported};
+use super::{Coordinate, Effect, LogNormal, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 /// Stribeck speeds of dry contacts lie below the working speeds.
@@ -17,6 +17,7 @@ pub(super) fn effect(on_acceleration: f64) -> Effect {
         name: "stribeck-friction",
         says: "the rotor sticks at low speed: friction is larger at rest",
         equation: "friction + Fs·exp(−(ω/vs)²)",
+        coordinate: Coordinate::Pulse,
         needs: &[Need::PulsedDrive],
         forms: [0.15, 0.4, 1.0, 2.0].map(extra).into(),
         reported: vec![

@@ -1,6 +1,6 @@
 //! `supply-sag`.
 
-use super::{Effect, LogNormal, Need, one, reported};
+use super::{Coordinate, Effect, LogNormal, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 /// A supply gives way within some milliseconds: its capacitance times its resistance.
@@ -11,6 +11,7 @@ pub(super) fn effect() -> Effect {
         name: "supply-sag",
         says: "the supply gives way under load: more drive power, less speed, at once",
         equation: "speed·(1 − r·s), τ·ds/dt = drive − s  (V = V₀ − R·I, with the supply's capacitance)",
+        coordinate: Coordinate::Pulse,
         needs: &[Need::ThreeDuties],
         forms: [0.0015, 0.003, 0.01, 0.03, 0.1]
             .map(|tau| one(P::Sag, 0.2, 0.01, (0.0, 0.9)).shaped(P::SagTime, tau, TIME, (1e-3, 0.25)))

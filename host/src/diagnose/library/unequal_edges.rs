@@ -1,6 +1,6 @@
 //! `unequal-edges`.
 
-use super::{Effect, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::diagnose::rotor::P;
 
 pub(super) fn effect() -> Effect {
@@ -8,6 +8,7 @@ pub(super) fn effect() -> Effect {
         name: "unequal-edges",
         says: "the encoder's high and low slots are not equally wide",
         equation: "high slots (1 + δ) pitch, low slots (1 − δ) pitch",
+        coordinate: Coordinate::Slots,
         needs: &[Need::Levels],
         forms: vec![one(P::EdgeOffset, 0.2, 0.01, (-0.9, 0.9))],
         reported: vec![reported("high_slot_excess", "1", P::EdgeOffset)],
