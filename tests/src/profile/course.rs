@@ -48,8 +48,8 @@ impl Motor {
             fall_s,
             slack: dice.decade(0.01, 0.08),
             drag: dice.even(0.0, 0.3),
-            foot_s: dice.even(-0.1e-3, 0.6e-3),
-            uneven: dice.even(0.0, 0.04),
+            foot_s: dice.even(-0.05e-3, 0.12e-3),
+            uneven: dice.even(0.0, 0.03),
             rise_shape: Smooth::free(dice, 5),
             fall_shape: Smooth::free(dice, 5),
         }

@@ -222,10 +222,10 @@ fn one(motor: &Motor, named: &Named, wrong: &Wrong, edges: usize, k: usize, dice
     let pitch = TAU / edges as f64;
     let full = motor.full * (1.0 + 0.01 * dice.box_shaped());
     let mut rotor = Rotor { rise: &rise, fall: &fall, full, wrong, y: 0.0, angle: 0.0 };
-    // A sine with its third harmonic, as fast as half the motor's speed at most.
-    let rate = dice.decade(0.7, 3.0);
-    let third = dice.even(0.0, 0.2);
-    let amplitude = (dice.even(0.3, 0.55) * full / pitch / rate / (1.0 + 3.0 * third)).min(0.5 * edges as f64);
+    // A sine with its third harmonic, as fast as three fifths of the motor's speed at most.
+    let rate = dice.decade(0.5, 1.5);
+    let third = dice.even(0.0, 0.15);
+    let amplitude = (dice.even(0.4, 0.6) * full / pitch / rate / (1.0 + 3.0 * third)).min(0.5 * edges as f64);
     let offset = dice.even(0.0, 1.0);
     let (mut seen, mut cell, mut sense, mut count) = (0.0_f64, 0_i64, 0, 0);
     let mut state = State::REST;

@@ -14,6 +14,9 @@ use std::f64::consts::TAU;
 /// Benches drawn until one shows what is wanted.
 const DRAWS: usize = 40;
 
+/// Smallest error of a clock that is hidden.
+const CLOCK_LEAST: f64 = 3e-3;
+
 /// Makes the data set of a seed.
 ///
 /// # Errors
@@ -74,10 +77,10 @@ fn arranged(seed: u64, request: &Request) -> Result<(Scene, Vec<Effect>), String
     let names = wanted(seed, request);
     let mut dice = Dice::new(seed, "scene");
     for draw in 0..DRAWS {
-        let mut own = Dice::new(seed, &format!("draw {draw}"));
+        let mut own = Dice::new(seed, &format!("{} {draw}", request.kind.word()));
         let motor = Motor::draw(&mut own);
         let bench = Bench::draw(&mut own, motor.full);
-        let scene = Scene { motor, bench, seed: seed ^ ((draw as u64) << 40) };
+        let scene = Scene { motor, bench, seed: seed ^ ((draw as u64) << 40) ^ ((request.kind as u64) << 48) };
         if !names.iter().all(|n| scene.bench.could_show(n)) {
             continue;
         }
@@ -282,7 +285,7 @@ impl View<'_> {
             let now = self.rho(std::slice::from_ref(&effect));
             let size = effect.size.abs();
             if (0.93..1.08).contains(&(now / rho)) {
-                return Some(effect);
+                break;
             }
             if now < rho {
                 if size >= effect.largest() {
@@ -302,6 +305,11 @@ impl View<'_> {
                 } else {
                     0.5 * (below + above)
                 };
+        }
+        // A clock is a ten-thousandth wrong anyway: what is called an error of it is larger.
+        if effect.name == "clock-error" && effect.size.abs() < CLOCK_LEAST {
+            effect.size = sign * CLOCK_LEAST;
+            return (self.rho(std::slice::from_ref(&effect)) < 12.0).then_some(effect);
         }
         let now = self.rho(std::slice::from_ref(&effect));
         let least = if just_that { 0.8 * rho } else { 1.05 };

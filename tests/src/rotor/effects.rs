@@ -95,6 +95,11 @@ impl Effect {
             .map_or(1.0, |(_, _, largest)| *largest)
     }
 
+    /// Smallest size that is the effect and not a nuisance: crystals are that wrong anyway.
+    pub fn least(&self) -> f64 {
+        if self.name == "clock-error" { 3e-3 } else { 0.0 }
+    }
+
     fn between(&self, k: usize, low: f64, high: f64) -> f64 {
         low + (high - low) * self.a[k]
     }
