@@ -1,5 +1,6 @@
 //! Terms without physics: where the model is wrong when no effect of the library says why.
 
+use super::library::Coordinate;
 use super::problem::{Basis, Column, Problem};
 use crate::record::measurement::RunKind;
 
@@ -10,8 +11,12 @@ pub struct Term {
     pub lives_in: &'static str,
     /// Its columns.
     pub columns: Vec<Column>,
+    /// Over what the library's effects act that show there, if any do.
+    pub coordinates: &'static [Coordinate],
     /// Whether every run has coefficients of its own.
     pub own: bool,
+    /// Whether its columns are pairs of cosine and sine.
+    pub harmonic: bool,
 }
 
 /// Standard deviation of a common coefficient, as a share of the speed.
@@ -28,33 +33,45 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
     let turning = runs.iter().any(|r| r.revolutions() > 0.6);
     let flexible = |bases: Vec<Basis>| bases.into_iter().map(Column::Flexible).collect::<Vec<_>>();
     let mut all = vec![
-        Term { lives_in: "time", columns: flexible((0..6).map(|j| Basis::Time(j, 6)).collect()), own: false },
+        Term {
+            lives_in: "time",
+            columns: flexible((0..6).map(|j| Basis::Time(j, 6)).collect()),
+            coordinates: &[Coordinate::Start, Coordinate::Slow],
+            own: false,
+            harmonic: false,
+        },
         Term {
             lives_in: "time, each run its own",
             columns: flexible((0..WANDER_KNOTS).map(|j| Basis::Time(j, WANDER_KNOTS)).collect()),
+            coordinates: &[],
             own: true,
+            harmonic: false,
         },
     ];
     if pulsed {
         all.push(Term {
             lives_in: "PWM phase",
             columns: flexible((0..8).map(|j| Basis::Phase(j, 8)).collect()),
+            coordinates: &[Coordinate::Pulse],
             own: false,
+            harmonic: false,
         });
         all.push(Term {
             lives_in: "timing against the PWM",
             columns: (0..6).map(|j| Column::Lag(j, 6)).collect(),
+            coordinates: &[Coordinate::Clock],
             own: false,
+            harmonic: false,
         });
-        all.push(Term { lives_in: "the milliseconds after switching", columns: switching(), own: false });
+        all.push(Term { lives_in: "the milliseconds after switching", columns: switching(), coordinates: &[Coordinate::Pulse], own: false, harmonic: false });
     }
     if levels {
-        all.push(Term { lives_in: "encoder slots", columns: flexible(vec![Basis::Slot]), own: false });
+        all.push(Term { lives_in: "encoder slots", columns: flexible(vec![Basis::Slot]), coordinates: &[Coordinate::Slots], own: false, harmonic: false });
     }
     if turning {
         let harmonics = |from: usize, to: usize| flexible((2 * from - 2..2 * to).map(Basis::Angle).collect());
-        all.push(Term { lives_in: "angle", columns: harmonics(1, 2), own: true });
-        all.push(Term { lives_in: "angle, three and more times a turn", columns: harmonics(3, 6), own: true });
+        all.push(Term { lives_in: "angle", columns: harmonics(1, 2), coordinates: &[Coordinate::Angle], own: true, harmonic: true });
+        all.push(Term { lives_in: "angle, three and more times a turn", columns: harmonics(3, 8), coordinates: &[], own: true, harmonic: true });
     }
     all
 }

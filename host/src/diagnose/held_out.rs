@@ -7,14 +7,15 @@ use super::problem::{Column, Model, Problem, RPM};
 use super::refit::{coefficients, columns_of, refit};
 use super::search::{Ground, Part, Set};
 use super::stats::{Fold, Grams, Group, HeldOut, Prior, folds};
+use crate::record::measurement::RunKind;
 use std::f64::consts::{PI, TAU};
 
 /// Divisions of the runs that are held out together.
 const FOLDS: usize = 5;
 /// Least number of runs of which whole ones are held out; of fewer, later turns are.
 pub const LEAST_RUNS: usize = 4;
-/// End of the start-up of a single run in s: it happens once, and is not scored.
-pub const START_UP_S: f64 = 0.1;
+/// End of the start-up in s: of few runs it happens once or twice, and is neither fitted nor scored.
+const START_UP_S: f64 = 0.1;
 
 /// What chance can do.
 pub struct Chance {
@@ -109,7 +110,8 @@ impl<'a> Scorer<'a> {
         let problem = self.ground.problem;
         let mut first = problem.clone();
         for run in &mut first.runs {
-            let keep: Vec<Window> = run.windows.iter().copied().filter(|w| !is_later(run, w)).collect();
+            let started = |w: &Window| run.kind == RunKind::Track || middle(run, w) >= START_UP_S;
+            let keep: Vec<Window> = run.windows.iter().copied().filter(|w| !is_later(run, w) && started(w)).collect();
             run.windows = keep;
         }
         let model = self.refit_on(&first, &set.model, &set.parts, set);

@@ -39,7 +39,7 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
     let (beta, covariance) = grams.fit_all(&columns);
     let first = free - set.parts.iter().map(|p| p.free.len()).sum::<usize>();
     let before: usize = set.parts.iter().take_while(|p| p.effect != part.effect).map(|p| p.free.len()).sum();
-    let quantile = student_975(scorer.keys.len().saturating_sub(free).max(1));
+    let quantile = student_975(scorer.keys.len().saturating_sub(1).max(1));
     let form = &effect.forms[part.form];
     effect
         .reported
@@ -54,7 +54,8 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
                 let value = (now + beta[at].clamp(-0.3, 0.3) * f.scale).clamp(f.bounds.0, f.bounds.1);
                 let spread = covariance[(at, at)].max(0.0).sqrt() * f.scale;
                 let half = (quantile * spread).hypot(1.96 * FORM * value);
-                return Some(Estimate { name, value, interval: [value - half, value + half], unit });
+                let interval = [(value - half).max(f.bounds.0.min(0.0)), (value + half).min(f.bounds.1)];
+                return Some(Estimate { name, value, interval, unit });
             }
             // A shape that the form states.
             let stated = form.shapes.iter().find(|s| s.parameter == reported.parameter)?;

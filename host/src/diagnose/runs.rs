@@ -6,7 +6,7 @@ use super::evidence::independent;
 use super::finding::{Finding, Status, Unknown};
 use super::gaps::{self, Gaps};
 use super::held_out::Scorer;
-use super::library::{Effect, library, not_judged};
+use super::library::{Coordinate, Effect, library, not_judged};
 use super::numbers::estimates;
 use super::problem::{Model, Problem};
 use super::refit::{Noise, objective, refit};
@@ -136,8 +136,12 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
         let effect = &ground.effects[part.effect];
         let less = without(ground, sets, accepted, part.effect);
         let held = scorer.held_out(&less).against(&scorer.held_out(accepted));
-        let ambiguous = judged.one_of.contains(&part.effect);
-        let conflicts: Vec<String> = if ambiguous {
+        // One start, or one course of warmth, cannot be replicated: it is not told from what else happens once.
+        let once = matches!(effect.coordinate, Coordinate::Start | Coordinate::Slow) && ground.problem.runs.len() == 1;
+        let ambiguous = judged.one_of.contains(&part.effect) || once;
+        let conflicts: Vec<String> = if once {
+            effect.conflicts.iter().map(|c| (*c).to_owned()).collect()
+        } else if ambiguous {
             judged.one_of.iter().filter(|e| **e != part.effect).map(|e| ground.effects[*e].name.to_owned()).collect()
         } else {
             Vec::new()
@@ -248,8 +252,10 @@ fn strike_uncertain(
                 let reported = ground.effects[p.effect].reported.iter().find(|r| r.name == name);
                 reported.is_none_or(|r| ground.effects[p.effect].forms[p.form].sizes.iter().any(|s| s.parameter == r.parameter))
             };
+            // A secant's size is one of some that were tried: its interval says how well it is known, not whether it is there.
+            let secant = ground.effects[p.effect].forms[p.form].sizes.iter().any(|s| s.step.abs() >= 0.99 * s.scale);
             let sized = sizes.iter().filter(|e| is_size(&e.name)).any(|e| e.interval[0] > 0.0 || e.interval[1] < 0.0);
-            held.gain_interval(seed)[0] <= 0.0 || !sized
+            held.gain_interval(seed)[0] <= 0.0 || !(sized || secant)
         });
         let Some(effect) = doubtful.map(|p| p.effect) else { return struck };
         judged.named.retain(|e| *e != effect);

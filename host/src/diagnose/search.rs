@@ -20,7 +20,9 @@ const EFFECT_COST: f64 = 3.0;
 /// there too.
 const SAME_COORDINATE: f64 = 6.0;
 /// What a term without physics costs: a cause of the library is the likelier explanation by far, but not beyond all evidence.
-pub const TERM_COST: f64 = 10.0;
+const TERM_COST: f64 = 10.0;
+/// The same where an effect of the library acts over the term's coordinate: there the term is a form of that effect that nobody knows.
+const FREE_FORM_COST: f64 = 20.0;
 /// Most effects in a set.
 const MOST_EFFECTS: usize = 4;
 /// Most sets from which others are looked for.
@@ -138,7 +140,7 @@ impl<'a> Ground<'a> {
             let Some(at) = next else { break };
             pool[at].expanded = true;
             let from = pool[at].clone();
-            self.expand(&from, &self.usable, TRIED, &mut pool);
+            self.expand(&from, &self.usable, TRIED, false, &mut pool);
             if round == 0 {
                 self.reseat(&mut pool);
             }
@@ -174,8 +176,8 @@ impl<'a> Ground<'a> {
         }
     }
 
-    /// Sets with one more effect than `from`.
-    fn expand(&self, from: &Set, among: &[usize], most: usize, pool: &mut Vec<Set>) {
+    /// Sets with one more effect than `from`; `again` also those that were visited, with other forms.
+    fn expand(&self, from: &Set, among: &[usize], most: usize, again: bool, pool: &mut Vec<Set>) {
         let candidates = self.candidates(from, among);
         if std::env::var("TWUM_TRACE").is_ok() {
             let list: Vec<String> = candidates.iter().take(6).map(|c| format!("{}/{} {:.1}", self.effects[c.effect].name, c.form, c.gain)).collect();
@@ -199,7 +201,7 @@ impl<'a> Ground<'a> {
             target.push(c.effect);
             target.sort_unstable();
             let known = pool.iter().position(|s| s.key() == target);
-            if known.is_some() && forms.is_empty() && from.parts.len() > 1 {
+            if known.is_some() && forms.is_empty() && from.parts.len() > 1 && !again {
                 continue;
             }
             let set = self.with(from, c, &pool[0]);
@@ -263,9 +265,9 @@ impl<'a> Ground<'a> {
                     rival && !pool.iter().any(|s| s.key() == target)
                 })
                 .collect();
-            if !rivals.is_empty() {
-                self.expand(&base, &rivals, rivals.len(), pool);
-            }
+            // Beside what was found since, another form of the effect itself may be the nearer one.
+            let anew: Vec<usize> = rivals.into_iter().chain([best.parts[k].effect]).collect();
+            self.expand(&base, &anew, anew.len(), true, pool);
         }
     }
 
@@ -334,8 +336,10 @@ impl<'a> Ground<'a> {
             let mut q = base.clone();
             for t in terms {
                 if self.terms[*t].own {
+                    // Each harmonic has a power of its own; the knots of a wander share one.
                     let group = q.own.iter().map(|o| o.1 + 1).max().unwrap_or(0);
-                    q.own.extend(at[*t].clone().map(|c| (c, group)));
+                    let pair = |i: usize| if self.terms[*t].harmonic { i / 2 } else { 0 };
+                    q.own.extend(at[*t].clone().enumerate().map(|(i, c)| (c, group + pair(i))));
                 } else {
                     let sd = if self.terms[*t].lives_in == "timing against the PWM" { 1.0 } else { SIZE };
                     q.common.extend(at[*t].clone().map(|c| (c, sd)));
@@ -370,14 +374,15 @@ impl<'a> Ground<'a> {
                 .filter(|t| !chosen.contains(t))
                 .filter_map(|t| {
                     let more = [chosen.clone(), vec![t]].concat();
-                    ask(&more, &near, &self.level).map(|w| (t, w.log, w.left))
+                    ask(&more, &near, &self.level).map(|w| (t, w.log - self.term_cost(t), w.left))
                 })
                 .max_by(|a, b| a.1.total_cmp(&b.1));
             let Some((t, log, rest)) = next else { break };
-            if log - TERM_COST <= best {
+            let cost: f64 = chosen.iter().map(|c| self.term_cost(*c)).sum();
+            if log - cost <= best {
                 break;
             }
-            best = log - TERM_COST;
+            best = log - cost;
             chosen.push(t);
             left.push((self.terms[t].lives_in, rest));
         }
@@ -406,6 +411,11 @@ impl<'a> Ground<'a> {
             );
         }
         set
+    }
+
+    fn term_cost(&self, term: usize) -> f64 {
+        let over = |e: &usize| self.terms[term].coordinates.contains(&self.effects[*e].coordinate);
+        if self.usable.iter().any(over) { FREE_FORM_COST } else { TERM_COST }
     }
 
     /// Whether what goes with the angle goes with it once or twice a turn before all: a rhythm of the third harmonic and beyond is another

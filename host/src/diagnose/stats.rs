@@ -372,8 +372,7 @@ impl Grams {
             meat += &score * score.transpose();
         }
         let n = self.runs.len() as f64;
-        let k = set.len() as f64;
-        let correction = if n > k + 1.0 { n / (n - k) } else { n.max(2.0) };
+        let correction = if n > 1.0 { n / (n - 1.0) } else { 1.0 };
         // What the priors leave open is as unknown as what the runs scatter.
         let believed =
             DMatrix::from_fn(set.len(), set.len(), |i, j| if i == j { self.known(set[i]).noise } else { 0.0 });
