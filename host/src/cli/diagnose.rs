@@ -136,10 +136,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     print!("{}", if args.json { kept.json } else { kept.text });
     if let Some(path) = &args.save_model {
-        let (Some(motor_file), Some(Details::Runs { outcome, .. })) = (&motor_file, &details) else {
-            bail!("--save-model needs runs of a TWUM that could be used, and a motor file");
+        let (Some(motor_file), Some(Details::Runs { problem, outcome })) = (&motor_file, &details) else {
+            bail!("--save-model needs a run of a TWUM that could be used, and a motor file");
         };
-        let text = motor::file(motor_file, flavour, &outcome.extended.parameters, &diagnosis)?;
+        let text = motor::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?;
         std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
         eprintln!("wrote {}", path.display());
     }

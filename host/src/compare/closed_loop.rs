@@ -343,7 +343,7 @@ mod tests {
     #[test]
     fn a_slower_motor_shows_in_the_plant_alone() {
         let found = taken_apart(&run(|effects| {
-            effects.high_duty_saturation = Some(crate::model::effects::HighDutySaturation { inverse_us: 1.0 });
+            effects.supply_sag = Some(crate::model::effects::SupplySag { sag: 0.3, tau_s: 5e-3 });
         }));
         assert_eq!(found.controller.as_ref().unwrap().mismatched, 0);
         assert_eq!(found.actuator.unwrap().duty_rms, 0.0);
