@@ -10,7 +10,9 @@ use twum_shared::message::DeviceMessage;
 /// Arguments of `twum driver`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Works only while the driver board is in its text mode: before alignment, or after its power was cycled.\n\n\
+    after_help = "Works only while the driver board is in its text mode: before alignment, or after its power was cycled. Motion is \
+                        passed on in pieces of 20 microsteps: Ctrl-C and `twum stop` end it within one, and a minute ends it in any \
+                        case.\n\n\
                         Examples:\n  twum driver --port /dev/ttyUSB0 ap\n  twum driver --port sim 'u100,ap' --out step.mcap"
 )]
 pub struct Args {
