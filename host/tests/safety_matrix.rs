@@ -292,9 +292,11 @@ fn wait_until_full(out: &Path, child: &mut Child) {
     }
 }
 
-/// One case, at `share` of the motion's length after its begin. A machine that is too busy even to begin is asked again.
+/// One case, at `share` of the motion's length after its begin. A machine that is too busy to begin, or to
+/// keep up a motion that nothing ends, is asked again.
 fn case(mover: Mover, event: Event, share: f64) -> Came {
-    (0..3).find_map(|_| attempt(mover, event, share)).expect("the motion begins")
+    let kept_up = |came: &Came| event.ends(mover) || came.code != Some(3);
+    (0..3).find_map(|_| attempt(mover, event, share).filter(kept_up)).expect("a machine that keeps up")
 }
 
 fn attempt(mover: Mover, event: Event, share: f64) -> Option<Came> {
@@ -352,7 +354,7 @@ fn check(mover: Mover, event: Event, came: &Came, slack_ms: f64) {
 fn matrix(shares: &[f64], slack_ms: f64) -> String {
     let cases: Vec<(Mover, Event)> =
         MOVERS.into_iter().flat_map(|mover| EVENTS.into_iter().map(move |event| (mover, event))).collect();
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(4).build().unwrap();
     let came: Vec<Vec<Came>> = pool.install(|| {
         cases
             .par_iter()
@@ -389,14 +391,14 @@ fn matrix(shares: &[f64], slack_ms: f64) -> String {
 
 #[test]
 fn whatever_ends_a_command_the_motor_is_off_and_nothing_starts_again() {
-    matrix(&[0.3], SLACK_MS);
+    let table = matrix(&[0.3], SLACK_MS);
+    document::record("safety-matrix", &table);
 }
 
 /// `cargo test --release -p twum-host --test safety_matrix -- --ignored --nocapture ten_moments`, on a machine that does nothing
-/// else; `TWUM_WRITE_DOCS=1` writes its table.
+/// else: the simulated boards have to keep up with real time.
 #[test]
 #[ignore = "minutes, and a machine to itself; docs/reliability.md gives the command"]
 fn whatever_ends_a_command_the_motor_is_off_at_ten_moments() {
-    let table = matrix(&[0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45], SLACK_MS);
-    document::record("safety-matrix", &table);
+    matrix(&[0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45], SLACK_MS);
 }
