@@ -25,6 +25,7 @@ mod mailbox;
 pub mod output;
 pub mod queues;
 pub mod shared;
+pub mod stage;
 pub mod store;
 pub mod watchdog;
 

@@ -18,7 +18,6 @@ pub const PWM_PIN: u8 = 16;
 pub const DIRECTION_PIN: u8 = 17;
 pub const MARK_PIN: u8 = 19;
 
-pub const PWM_BITS: u32 = 14;
 pub const PWM_DUTY: Duty = Duty::Duty14Bit;
 /// GPIO matrix words (reference manual, GPIO_FUNCn_OUT_SEL_CFG): the source, and bit 10, output enable by GPIO_ENABLE.
 pub const PLAIN_OUTPUT: u32 = 256 | 1 << 10;

@@ -16,7 +16,6 @@ pub const PWM_PIN: u8 = 5;
 pub const DIRECTION_PIN: u8 = 6;
 pub const MARK_PIN: u8 = 7;
 
-pub const PWM_BITS: u32 = 14;
 pub const PWM_DUTY: Duty = Duty::Duty14Bit;
 /// GPIO matrix words (reference manual, GPIO_FUNCn_OUT_SEL_CFG): the source, and bit 9, output enable by GPIO_ENABLE.
 pub const PLAIN_OUTPUT: u32 = 128 | 1 << 9;

@@ -96,5 +96,5 @@ extern "C" fn edge() {
 #[ram]
 extern "C" fn period() {
     board::clear_pwm_period();
-    stage::period_began();
+    twum_firmware::stage::period_began(&stage::Chip, &stage::FLAGS);
 }

@@ -52,7 +52,7 @@ static CONTROL: StaticCell<Control<'static, Stage>> = StaticCell::new();
 #[esp_rtos::main]
 async fn main(spawner: Spawner) {
     // Before anything that can fail: `boot` writes the PWM pin's registers, and nothing comes before it.
-    let output = Output::boot(Stage::new());
+    let output = Output::boot(Stage::new(stage::Chip, &stage::FLAGS));
 
     let reset = panic::take_mark().unwrap_or_else(board::reset_cause);
     let parts = board::parts(esp_hal::init(esp_hal::Config::default().with_cpu_clock(esp_hal::clock::CpuClock::max())));

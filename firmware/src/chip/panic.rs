@@ -1,9 +1,11 @@
 //! A panic, or an exception (which esp-hal turns into one): output off, then the message on the link, then a restart that
 //! knows why.
 
-use super::{board, stage};
+use super::board;
+use super::stage::{Chip, FLAGS};
 use esp_hal::ram;
 use portable_atomic::{AtomicU32, Ordering};
+use twum_firmware::stage::{off, off_whatever_the_role};
 use twum_shared::message::ResetCause;
 
 /// Survives a software reset; a random word after power came. The ESP32's second core reaches only the slow memory.
@@ -26,7 +28,7 @@ pub fn take_mark() -> Option<ResetCause> {
 
 /// Restarts on the host's request.
 pub fn reboot() -> ! {
-    stage::off();
+    off(&Chip, &FLAGS);
     MARK.store(REBOOTED, Ordering::Relaxed);
     esp_hal::system::software_reset()
 }
@@ -34,10 +36,10 @@ pub fn reboot() -> ! {
 /// Called by esp-backtrace before it does anything else.
 #[unsafe(no_mangle)]
 fn custom_pre_backtrace() {
-    stage::off_whatever_the_role();
+    off_whatever_the_role(&Chip, &FLAGS);
     // A control core that still runs could drive again.
     board::stop_other_core();
-    stage::off_whatever_the_role();
+    off_whatever_the_role(&Chip, &FLAGS);
     MARK.store(PANICKED, Ordering::Relaxed);
     // Ends the frame that was on its way: what follows is text, and no frame can be taken out of it.
     esp_println::Printer::write_bytes(&[0]);

@@ -1,12 +1,12 @@
 use super::clock;
 use super::driver_board::{DriverBoard, DriverHealth};
 use super::motor::{FirstOrderMotor, SimulatedMotor};
-use super::pins::{Pins, Stage};
+use super::silicon::{Chip, PadEdge, Silicon};
 use super::wire::{Uart, Wire};
 use embassy_futures::join::join4;
 use embedded_hal::digital::{ErrorType as PinErrorType, InputPin};
 use embedded_io_async::{ErrorType, Read, Write};
-use std::cell::{Cell, RefCell};
+use std::cell::Cell;
 use std::convert::Infallible;
 use std::future::Future;
 use std::pin::Pin;
@@ -21,6 +21,7 @@ use twum_firmware::encoder::EncoderInterrupt;
 use twum_firmware::link::{About, receive, transmit};
 use twum_firmware::output::Output;
 use twum_firmware::queues::Queues;
+use twum_firmware::stage::{self, Flags, Registers, Stage};
 use twum_firmware::watchdog::{Watchdog, supervise};
 use twum_shared::message::{Mode, ResetCause};
 use twum_shared::{Direction, Fault};
@@ -41,6 +42,8 @@ pub struct Setup {
     /// The rotor's angle within an encoder pitch at the start, as a fraction of the pitch in [0, 2): at 1 and above the
     /// encoder line starts high.
     pub start_pitch: f64,
+    /// Whose modules drive the pins.
+    pub chip: Chip,
     /// The motor.
     pub motor: Box<dyn SimulatedMotor>,
     /// How well the driver board is.
@@ -58,6 +61,7 @@ impl Default for Setup {
         Self {
             edges_per_rev: 400,
             start_pitch: 0.3,
+            chip: Chip::default(),
             motor: Box::new(FirstOrderMotor::default()),
             driver: DriverHealth::Well,
             reset: ResetCause::PowerOn,
@@ -82,14 +86,19 @@ pub enum Disturbance {
     ControlHung,
     /// The tasks no longer run: the hardware watchdog has to act.
     TasksHung,
-    /// The board restarts for this reason: a panic, whose handler switches off first; a supply that sags; the reset pin.
+    /// The board restarts for this reason: a supply that sags; the reset pin.
     Reset(ResetCause),
+    /// A task panics. Its handler runs instead of the tasks until the board restarts; interrupts do what they may.
+    TaskPanic,
     /// The driver board's power is cycled.
     DriverPowerCycled,
 }
 
 /// A board that is asked to restart first sends what it has to say, for so long.
 const REBOOT_US: u64 = 20_000;
+
+/// A panic handler writes its message and backtrace for about so long before it restarts the chip.
+const PANIC_US: u64 = 600_000;
 
 /// Tasks ask to be polled through this.
 #[derive(Debug, Default)]
@@ -104,7 +113,8 @@ impl Wake for Flag {
 /// The driver board's wires, as the firmware sees them.
 struct DriverUart {
     uart: Uart,
-    pins: Rc<RefCell<Pins>>,
+    silicon: Silicon,
+    flags: &'static Flags,
 }
 
 impl ErrorType for DriverUart {
@@ -129,12 +139,12 @@ impl Write for DriverUart {
 
 impl DriverPort for DriverUart {
     fn to_text(&mut self) {
-        self.pins.borrow_mut().hardware = false;
+        stage::to_text(&self.silicon, self.flags);
         self.uart.rx.clear();
     }
 
     fn to_hardware(&mut self) {
-        self.pins.borrow_mut().hardware = true;
+        stage::to_hardware(&self.silicon, self.flags);
     }
 }
 
@@ -167,7 +177,8 @@ type Tasks = Pin<Box<dyn Future<Output = ()>>>;
 /// The firmware's part of a board, from one boot to the next.
 struct Firmware {
     shared: &'static Shared,
-    control: Control<'static, Stage>,
+    flags: &'static Flags,
+    control: Control<'static, Stage<Silicon>>,
     interrupt: EncoderInterrupt<'static>,
     tasks: Tasks,
     woken: Arc<Flag>,
@@ -177,15 +188,17 @@ struct Firmware {
 
 impl Firmware {
     fn boot(
-        stage: Stage,
+        silicon: &Silicon,
         uart: Uart,
-        driver: DriverUart,
+        driver: Uart,
         pin: EncoderPin,
         fed: Rc<Cell<u64>>,
         reset: ResetCause,
     ) -> Self {
-        let output = Output::boot(stage);
         // A chip keeps these in static memory; a simulated boot leaks them (30 KB), which keeps every lifetime the chip's.
+        let flags: &'static Flags = Box::leak(Box::new(Flags::new()));
+        let output = Output::boot(Stage::new(silicon.clone(), flags));
+        let driver = DriverUart { uart: driver, silicon: silicon.clone(), flags };
         let shared: &'static Shared = Box::leak(Box::new(Shared::new()));
         let queues: &'static mut Queues = Box::leak(Box::new(Queues::new()));
         let (control_ends, edges, transmit_ends) = queues.split();
@@ -207,6 +220,7 @@ impl Firmware {
         let woken = Arc::new(Flag(AtomicBool::new(true)));
         Self {
             shared,
+            flags,
             control: Control::new(shared, control_ends, output, reset),
             interrupt: EncoderInterrupt::new(shared, edges),
             tasks,
@@ -228,7 +242,8 @@ impl Firmware {
 /// A simulated board with its driver board and motor. It lives on one thread: its clock is the thread's.
 pub struct Board {
     firmware: Firmware,
-    pins: Rc<RefCell<Pins>>,
+    chip: Chip,
+    silicon: Silicon,
     encoder_level: Rc<Cell<bool>>,
     fed_us: Rc<Cell<u64>>,
     to_board: Wire,
@@ -246,25 +261,26 @@ pub struct Board {
     encoder_dead: bool,
     control_hung: bool,
     tasks_hung: bool,
-    reboot_us: Option<u64>,
+    reboot: Option<(u64, ResetCause)>,
 }
 
 impl Board {
     /// Switches a board on. Resets this thread's clock.
     pub fn new(setup: Setup) -> Self {
         clock::reset(setup.start_us);
-        let pins = Rc::new(RefCell::new(Pins::default()));
+        let silicon = Silicon::new(setup.chip, setup.start_us);
         let encoder_level = Rc::new(Cell::new(setup.start_pitch.rem_euclid(2.0) >= 1.0));
         let fed_us = Rc::new(Cell::new(setup.start_us));
         let (to_board, from_board) = (Wire::new(LINK_BAUD), Wire::new(LINK_BAUD));
         let (driver_rx, driver_tx) = (Wire::new(DRIVER_BAUD), Wire::new(DRIVER_BAUD));
         let wires = [&to_board, &from_board, &driver_rx, &driver_tx].map(Clone::clone);
-        let firmware = boot(&pins, &encoder_level, &fed_us, &wires, setup.reset);
+        let firmware = boot(&silicon, &encoder_level, &fed_us, &wires, setup.reset);
         let mut motor = setup.motor;
         let angle_rad = motor.advance(0.0, false, Direction::Cw);
         Self {
             firmware,
-            pins,
+            chip: setup.chip,
+            silicon,
             encoder_level,
             fed_us,
             to_board,
@@ -282,7 +298,7 @@ impl Board {
             encoder_dead: false,
             control_hung: false,
             tasks_hung: false,
-            reboot_us: None,
+            reboot: None,
         }
     }
 
@@ -308,7 +324,17 @@ impl Board {
 
     /// Whether the pins hold the motor off.
     pub fn output_is_off(&self) -> bool {
-        self.pins.borrow().is_off()
+        self.silicon.is_disconnected() && self.firmware.flags.is_off()
+    }
+
+    /// From now on, keeps the levels the PWM wire takes, for [`Board::pwm_edges`].
+    pub fn watch_pwm(&mut self) {
+        self.silicon.watch();
+    }
+
+    /// The levels the PWM wire took since it is watched, the one it had then first.
+    pub fn pwm_edges(&self) -> Vec<PadEdge> {
+        self.silicon.edges()
     }
 
     /// The supervisor's state, seen from outside the link.
@@ -341,6 +367,7 @@ impl Board {
             Disturbance::ControlHung => self.control_hung = true,
             Disturbance::TasksHung => self.tasks_hung = true,
             Disturbance::Reset(cause) => self.restart(cause),
+            Disturbance::TaskPanic => self.panic(),
             Disturbance::DriverPowerCycled => self.driver = DriverBoard::new(self.driver.health),
         }
     }
@@ -359,7 +386,8 @@ impl Board {
             let next_us = self.next_event_us().clamp(clock::now_us() + 1, until_us);
             self.move_plant(next_us);
             clock::set(next_us);
-            self.pins.borrow_mut().turn(next_us);
+            self.silicon.advance(next_us);
+            self.pwm_interrupt();
             self.turn_driver(next_us);
             if next_us >= self.firmware.next_tick_us + self.late_us {
                 self.tick(next_us);
@@ -368,10 +396,12 @@ impl Board {
                 self.firmware.poll();
             }
             if self.firmware.shared.reboot.try_take().is_some() {
-                self.reboot_us = Some(next_us + REBOOT_US);
+                self.reboot = Some((next_us + REBOOT_US, ResetCause::Software));
             }
-            if self.reboot_us.is_some_and(|at| at <= next_us) {
-                self.restart(ResetCause::Software);
+            if let Some((at_us, cause)) = self.reboot
+                && at_us <= next_us
+            {
+                self.restart(cause);
             }
             if next_us.saturating_sub(self.fed_us.get()) > WATCHDOG_US {
                 self.restart(ResetCause::Watchdog);
@@ -385,7 +415,7 @@ impl Board {
         [
             Some(now_us + PLANT_STEP_US),
             Some(self.firmware.next_tick_us + self.late_us),
-            Some(self.pins.borrow().next_change_us(now_us)),
+            Some(self.silicon.next_event_us(now_us)),
             clock::next_timer_us(),
             driver,
         ]
@@ -397,10 +427,8 @@ impl Board {
 
     fn move_plant(&mut self, next_us: u64) {
         let now_us = clock::now_us();
-        let (drive_on, direction) = {
-            let pins = self.pins.borrow();
-            (pins.drive_on(now_us) && self.driver.hardware, pins.direction)
-        };
+        let direction = self.silicon.direction();
+        let drive_on = self.driver.hardware && !self.silicon.pwm_level();
         let before = self.angle_rad;
         let after = self.motor.advance((next_us - now_us) as f64 * 1e-6, drive_on, direction);
         self.encode(before, after, now_us, next_us, direction);
@@ -435,6 +463,23 @@ impl Board {
         }
     }
 
+    /// What the panic handler of the tasks' core does.
+    fn panic(&mut self) {
+        self.tasks_hung = true;
+        stage::off_whatever_the_role(&self.silicon, self.firmware.flags);
+        // Where control has a core of its own, the handler stops that.
+        self.control_hung = self.chip == Chip::Esp32;
+        self.reboot = Some((clock::now_us() + PANIC_US, ResetCause::Panic));
+    }
+
+    /// The PWM unit's interrupt, which has the tick's priority.
+    fn pwm_interrupt(&mut self) {
+        if self.silicon.overflowed() && !self.control_hung {
+            self.silicon.clear_overflow();
+            stage::period_began(&self.silicon, self.firmware.flags);
+        }
+    }
+
     fn tick(&mut self, now_us: u64) {
         let due_us = self.firmware.next_tick_us;
         self.firmware.next_tick_us = due_us + u64::from(self.firmware.control.period_us());
@@ -448,7 +493,7 @@ impl Board {
         for _ in 0..self.chatter {
             let level = !self.encoder_level.get();
             self.encoder_level.set(level);
-            let direction = self.pins.borrow().direction;
+            let direction = self.silicon.direction();
             self.firmware.interrupt.edge(level, direction, now_us as u32);
         }
         let jitter_us = self.jitter_us();
@@ -470,17 +515,17 @@ impl Board {
         self.from_board.clear();
         self.control_hung = false;
         self.tasks_hung = false;
-        self.reboot_us = None;
+        self.reboot = None;
         clock::forget_timers();
         self.fed_us.set(clock::now_us());
+        self.silicon.reset(self.chip);
         let wires = [&self.to_board, &self.from_board, &self.driver_rx, &self.driver_tx].map(Clone::clone);
-        self.firmware = boot(&self.pins, &self.encoder_level, &self.fed_us, &wires, reset);
-        self.pins.borrow_mut().hardware = false;
+        self.firmware = boot(&self.silicon, &self.encoder_level, &self.fed_us, &wires, reset);
     }
 }
 
 fn boot(
-    pins: &Rc<RefCell<Pins>>,
+    silicon: &Silicon,
     level: &Rc<Cell<bool>>,
     fed_us: &Rc<Cell<u64>>,
     [to_board, from_board, driver_rx, driver_tx]: &[Wire; 4],
@@ -488,12 +533,5 @@ fn boot(
 ) -> Firmware {
     let uart = Uart { rx: to_board.clone(), tx: from_board.clone() };
     let driver_uart = Uart { rx: driver_rx.clone(), tx: driver_tx.clone() };
-    Firmware::boot(
-        Stage { pins: pins.clone() },
-        uart,
-        DriverUart { uart: driver_uart, pins: pins.clone() },
-        EncoderPin(level.clone()),
-        fed_us.clone(),
-        reset,
-    )
+    Firmware::boot(silicon, uart, driver_uart, EncoderPin(level.clone()), fed_us.clone(), reset)
 }

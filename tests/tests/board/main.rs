@@ -8,4 +8,5 @@ mod faults;
 mod link;
 mod recording;
 mod runs;
+mod silicon;
 mod soak;

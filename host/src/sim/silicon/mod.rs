@@ -1,0 +1,216 @@
+//! What a chip's modules do behind the firmware's registers: the PWM unit, the pads, the cores. The chip's own output stage
+//! ([`twum_firmware::stage`]) runs against it, so what the simulated board's pins do is what that code makes of the
+//! hardware the manuals describe.
+
+mod ledc;
+
+use ledc::Ledc;
+use std::cell::RefCell;
+use std::rc::Rc;
+use twum_firmware::stage::{Registers, Source, Wire};
+use twum_shared::Direction;
+
+/// Cycles of the PWM unit's clock in a microsecond.
+const CYCLES_PER_US: u64 = 80;
+
+/// Which chip's modules.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Chip {
+    /// Two Xtensa cores: control has the second for itself.
+    Esp32,
+    /// One RISC-V core.
+    #[default]
+    Esp32c3,
+    /// One RISC-V core.
+    Esp32c6,
+}
+
+impl Chip {
+    /// Every chip.
+    pub const ALL: [Self; 3] = [Self::Esp32, Self::Esp32c3, Self::Esp32c6];
+}
+
+/// A level a wire took, and when, ns of device time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PadEdge {
+    /// When, ns.
+    pub time_ns: u64,
+    /// The level since.
+    pub high: bool,
+}
+
+/// A wire's pad: "IO MUX and GPIO Matrix".
+#[derive(Clone, Debug)]
+struct Pad {
+    level: bool,
+    source: Source,
+    output: bool,
+}
+
+impl Pad {
+    const fn new() -> Self {
+        // After reset no driver is on.
+        Self { level: false, source: Source::Level, output: false }
+    }
+
+    /// The wire's level: driven, or pulled up (the 10 kΩ of the wiring) where nothing drives.
+    fn wire_level(&self, unit: bool) -> bool {
+        match (self.output, self.source) {
+            (false, _) => true,
+            (true, Source::Level) => self.level,
+            (true, Source::Pwm) => unit,
+        }
+    }
+}
+
+/// The modules' state.
+#[derive(Debug)]
+pub(super) struct State {
+    now: u64,
+    ledc: Ledc,
+    pwm: Pad,
+    direction: Pad,
+    mark: Pad,
+    /// The levels the PWM wire took, since somebody wants to know.
+    edges: Option<Vec<PadEdge>>,
+}
+
+impl State {
+    fn pwm_level(&self) -> bool {
+        self.pwm.wire_level(self.ledc.output(self.now))
+    }
+
+    fn note(&mut self) {
+        let (high, time_ns) = (self.pwm_level(), self.now * 1_000 / CYCLES_PER_US);
+        if let Some(edges) = &mut self.edges
+            && edges.last().is_none_or(|edge| edge.high != high)
+        {
+            edges.push(PadEdge { time_ns, high });
+        }
+    }
+
+    fn pad(&mut self, wire: Wire) -> &mut Pad {
+        match wire {
+            Wire::Pwm => &mut self.pwm,
+            Wire::Direction => &mut self.direction,
+            Wire::Mark => &mut self.mark,
+        }
+    }
+}
+
+/// A chip's modules, shared by everything that reaches their registers.
+#[derive(Clone, Debug)]
+pub(super) struct Silicon(Rc<RefCell<State>>);
+
+impl Silicon {
+    /// A chip that was powered at `now_us`.
+    pub fn new(chip: Chip, now_us: u64) -> Self {
+        let now = now_us * CYCLES_PER_US;
+        let state = State {
+            now,
+            ledc: Ledc::new(chip, now),
+            pwm: Pad::new(),
+            direction: Pad::new(),
+            mark: Pad::new(),
+            edges: None,
+        };
+        Self(Rc::new(RefCell::new(state)))
+    }
+
+    /// "Reset and Clock": a reset of the digital system sets its modules back. Time goes on, and so does the watching.
+    pub fn reset(&self, chip: Chip) {
+        let mut state = self.0.borrow_mut();
+        state.ledc = Ledc::new(chip, state.now);
+        (state.pwm, state.direction, state.mark) = (Pad::new(), Pad::new(), Pad::new());
+        state.note();
+    }
+
+    /// From now on, keeps the levels the PWM wire takes.
+    pub fn watch(&self) {
+        let mut state = self.0.borrow_mut();
+        state.edges = Some(Vec::new());
+        state.note();
+    }
+
+    /// Lets the modules run up to `now_us`.
+    pub fn advance(&self, now_us: u64) {
+        let mut state = self.0.borrow_mut();
+        let until = now_us * CYCLES_PER_US;
+        loop {
+            let next = state.ledc.next_event(state.now);
+            if next > until {
+                break;
+            }
+            state.now = next;
+            state.ledc.overflow(next);
+            state.note();
+        }
+        state.now = until;
+    }
+
+    /// When the modules next do something, µs, after `now_us`.
+    pub fn next_event_us(&self, now_us: u64) -> u64 {
+        self.0.borrow().ledc.next_event(now_us * CYCLES_PER_US).div_ceil(CYCLES_PER_US)
+    }
+
+    /// Whether the PWM unit asks for its interrupt.
+    pub fn overflowed(&self) -> bool {
+        self.0.borrow().ledc.overflowed
+    }
+
+    /// The level of the PWM wire.
+    pub fn pwm_level(&self) -> bool {
+        self.0.borrow().pwm_level()
+    }
+
+    /// The direction the wire says.
+    pub fn direction(&self) -> Direction {
+        Direction::from_pin(self.0.borrow().direction.level)
+    }
+
+    /// Whether the PWM wire is disconnected from the unit.
+    pub fn is_disconnected(&self) -> bool {
+        self.0.borrow().pwm.source == Source::Level
+    }
+
+    /// The levels the PWM wire took since it is watched.
+    pub fn edges(&self) -> Vec<PadEdge> {
+        self.0.borrow().edges.clone().unwrap_or_default()
+    }
+
+    fn write(&self, change: impl FnOnce(&mut State)) {
+        let mut state = self.0.borrow_mut();
+        change(&mut state);
+        state.note();
+    }
+}
+
+impl Registers for Silicon {
+    fn set_level(&self, wire: Wire, high: bool) {
+        self.write(|state| state.pad(wire).level = high);
+    }
+
+    fn route(&self, wire: Wire, source: Source) {
+        self.write(|state| state.pad(wire).source = source);
+    }
+
+    fn enable_output(&self, wire: Wire, on: bool) {
+        self.write(|state| state.pad(wire).output = on);
+    }
+
+    fn write_duty(&self, high: u32) {
+        self.write(|state| state.ledc.write_duty(high));
+    }
+
+    fn write_divider(&self, divider: u32) {
+        self.write(|state| state.ledc.write_divider(divider, state.now));
+    }
+
+    fn reset_counter(&self) {
+        self.write(|state| state.ledc.reset_counter(state.now));
+    }
+
+    fn clear_overflow(&self) {
+        self.write(|state| state.ledc.overflowed = false);
+    }
+}
