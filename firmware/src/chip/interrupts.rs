@@ -2,6 +2,7 @@
 //! highest, on one core, so none ever interrupts another: what they share needs no lock.
 
 use super::board;
+use super::flash::STANDSTILL;
 use super::stage::{self, Stage};
 use core::cell::UnsafeCell;
 use esp_hal::interrupt::{InterruptHandler, Priority};
@@ -37,6 +38,10 @@ impl ControlLoop {
         let missed = late_us / self.period_us.max(1);
         self.due_us = Some(due_us + u64::from(self.period_us) * (1 + u64::from(missed)));
 
+        if self.control.is_at_rest() && STANDSTILL.stand() {
+            self.due_us = None;
+            board::set_tick_period(self.period_us);
+        }
         let period_us = self.control.period_us();
         if period_us != self.period_us {
             (self.period_us, self.due_us) = (period_us, None);
@@ -96,5 +101,8 @@ extern "C" fn edge() {
 #[ram]
 extern "C" fn period() {
     board::clear_pwm_period();
-    twum_firmware::stage::period_began(&stage::Chip, &stage::FLAGS);
+    // SAFETY: see `Slot`.
+    if let Some(control) = unsafe { &mut *LOOP.0.get() } {
+        control.control.period_began(board::clock_us());
+    }
 }

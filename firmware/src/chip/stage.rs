@@ -1,7 +1,6 @@
-//! The registers behind [`twum_firmware::stage`], and the pads of the two wires to the driver board and of the start mark.
+//! The registers behind [`twum_firmware::stage`].
 
 use super::board;
-use esp_hal::gpio::{AnyPin, DriveStrength, Flex, InputConfig, Level, Output as Pin, OutputConfig, Pull};
 use esp_hal::peripherals::GPIO;
 use twum_firmware::stage::{self, Flags, Registers, Source, Wire};
 
@@ -15,6 +14,7 @@ pub static FLAGS: Flags = Flags::new();
 #[derive(Clone, Copy, Debug)]
 pub struct Chip;
 
+#[inline(always)]
 const fn pin(wire: Wire) -> u8 {
     match wire {
         Wire::Pwm => board::PWM_PIN,
@@ -24,6 +24,11 @@ const fn pin(wire: Wire) -> u8 {
 }
 
 impl Registers for Chip {
+    #[inline(always)]
+    fn take_pad(&self, wire: Wire) {
+        board::take_pad(pin(wire), wire == Wire::Pwm);
+    }
+
     #[inline(always)]
     fn set_level(&self, wire: Wire, high: bool) {
         let bit = 1 << pin(wire);
@@ -40,8 +45,9 @@ impl Registers for Chip {
         let word = match source {
             Source::Level => board::PLAIN_OUTPUT,
             Source::Pwm => board::PWM_OUTPUT,
+            Source::Uart => board::UART_OUTPUT,
         };
-        // SAFETY: the two words a board uses connect a pin to its output register or to the PWM unit.
+        // SAFETY: the words connect a pin to its output register, the PWM unit or the UART.
         GPIO::regs().func_out_sel_cfg(usize::from(pin(wire))).write(|w| unsafe { w.bits(word) });
     }
 
@@ -56,19 +62,41 @@ impl Registers for Chip {
         }
     }
 
+    fn receive_on(&self, wire: Wire) {
+        board::receive_on(pin(wire));
+    }
+
     #[inline(always)]
     fn write_duty(&self, high: u32) {
-        board::set_pwm(high);
+        board::write_duty(high);
     }
 
     #[inline(always)]
+    fn start_duty(&self) {
+        board::start_duty();
+    }
+
+    #[inline(always)]
+    fn update_channel(&self) {
+        board::update_channel();
+    }
+
+    #[inline(always)]
+    fn loaded_duty(&self) -> u32 {
+        board::loaded_duty()
+    }
+
     fn write_divider(&self, divider: u32) {
-        board::set_pwm_divider(divider);
+        board::write_divider(divider);
+    }
+
+    fn update_timer(&self) {
+        board::update_timer();
     }
 
     #[inline(always)]
-    fn reset_counter(&self) {
-        board::restart_pwm();
+    fn count(&self) -> u32 {
+        board::count()
     }
 
     #[inline(always)]
@@ -87,39 +115,4 @@ pub fn level(pin: u8) -> bool {
 #[inline(always)]
 pub fn set_level(pin: u8) -> bool {
     GPIO::regs().out().read().bits() & (1 << pin) != 0
-}
-
-/// The two wires, whose role [`super::port`] changes.
-pub struct Pins {
-    pub pwm: Flex<'static>,
-    pub direction: Flex<'static>,
-}
-
-/// Sets the pins' pads up: 5 mA, so that a driver board that talks while the pin is held high is not harmed.
-pub fn wire(pwm: AnyPin<'static>, direction: AnyPin<'static>, mark: AnyPin<'static>) -> Pins {
-    let weak = OutputConfig::default().with_drive_strength(DriveStrength::_5mA);
-    let mut pins = Pins { pwm: Flex::new(pwm), direction: Flex::new(direction) };
-    pins.pwm.apply_output_config(&weak.with_pull(Pull::Up));
-    pins.direction.apply_output_config(&weak);
-    pins.to_hardware();
-    // Kept for ever: dropping it would release the pin.
-    core::mem::forget(Pin::new(mark, Level::Low, OutputConfig::default()));
-    pins
-}
-
-impl Pins {
-    /// PWM held off, and direction: what the driver board expects in hardware mode.
-    pub fn to_hardware(&mut self) {
-        stage::to_hardware(&Chip, &FLAGS);
-        self.direction.set_output_enable(true);
-    }
-
-    /// The PWM pin listens, pulled up; the direction pin becomes the UART's transmit line.
-    pub fn to_text(&mut self) {
-        stage::to_text(&Chip, &FLAGS);
-        self.pwm.apply_input_config(&InputConfig::default().with_pull(Pull::Up));
-        board::DRIVER_RX.connect_to(&self.pwm.peripheral_input());
-        board::DRIVER_TX.connect_to(&self.direction);
-        self.direction.set_output_enable(true);
-    }
 }

@@ -1,7 +1,7 @@
 use super::clock;
 use super::driver_board::{DriverBoard, DriverHealth};
 use super::motor::{FirstOrderMotor, SimulatedMotor};
-use super::silicon::{Chip, PadEdge, Silicon};
+use super::silicon::{Chip, Half, PadEdge, Silicon};
 use super::wire::{Uart, Wire};
 use embassy_futures::join::join4;
 use embedded_hal::digital::{ErrorType as PinErrorType, InputPin};
@@ -18,8 +18,9 @@ use twum_firmware::Shared;
 use twum_firmware::control::Control;
 use twum_firmware::driver::{DriverPort, serve};
 use twum_firmware::encoder::EncoderInterrupt;
+use twum_firmware::fatal;
 use twum_firmware::link::{About, receive, transmit};
-use twum_firmware::output::Output;
+use twum_firmware::output::{Latch, Output};
 use twum_firmware::queues::Queues;
 use twum_firmware::stage::{self, Flags, Registers, Stage};
 use twum_firmware::watchdog::{Watchdog, supervise};
@@ -88,8 +89,9 @@ pub enum Disturbance {
     TasksHung,
     /// The board restarts for this reason: a supply that sags; the reset pin.
     Reset(ResetCause),
-    /// A task panics. Its handler runs instead of the tasks until the board restarts; interrupts do what they may.
-    TaskPanic,
+    /// The firmware panics, in a task or in a control interrupt. The handler runs there until the board restarts; what else
+    /// the chip executes meanwhile goes on.
+    Panic(Half),
     /// The driver board's power is cycled.
     DriverPowerCycled,
 }
@@ -178,6 +180,7 @@ type Tasks = Pin<Box<dyn Future<Output = ()>>>;
 struct Firmware {
     shared: &'static Shared,
     flags: &'static Flags,
+    latch: &'static Latch,
     control: Control<'static, Stage<Silicon>>,
     interrupt: EncoderInterrupt<'static>,
     tasks: Tasks,
@@ -197,7 +200,8 @@ impl Firmware {
     ) -> Self {
         // A chip keeps these in static memory; a simulated boot leaks them (30 KB), which keeps every lifetime the chip's.
         let flags: &'static Flags = Box::leak(Box::new(Flags::new()));
-        let output = Output::boot(Stage::new(silicon.clone(), flags));
+        let latch: &'static Latch = Box::leak(Box::new(Latch::new()));
+        let output = Output::boot(Stage::new(silicon.clone(), flags), latch);
         let driver = DriverUart { uart: driver, silicon: silicon.clone(), flags };
         let shared: &'static Shared = Box::leak(Box::new(Shared::new()));
         let queues: &'static mut Queues = Box::leak(Box::new(Queues::new()));
@@ -221,6 +225,7 @@ impl Firmware {
         Self {
             shared,
             flags,
+            latch,
             control: Control::new(shared, control_ends, output, reset),
             interrupt: EncoderInterrupt::new(shared, edges),
             tasks,
@@ -261,7 +266,8 @@ pub struct Board {
     encoder_dead: bool,
     control_hung: bool,
     tasks_hung: bool,
-    reboot: Option<(u64, ResetCause)>,
+    reboot_us: Option<u64>,
+    panicked: Option<(u64, Half)>,
 }
 
 impl Board {
@@ -298,7 +304,8 @@ impl Board {
             encoder_dead: false,
             control_hung: false,
             tasks_hung: false,
-            reboot: None,
+            reboot_us: None,
+            panicked: None,
         }
     }
 
@@ -322,14 +329,19 @@ impl Board {
         }
     }
 
-    /// Whether the pins hold the motor off.
+    /// Whether the pins hold the motor off, now and with the next PWM period.
     pub fn output_is_off(&self) -> bool {
-        self.silicon.is_disconnected() && self.firmware.flags.is_off()
+        self.silicon.is_disconnected() && (self.firmware.latch.is_shut() || !self.silicon.is_told_to_drive())
     }
 
     /// From now on, keeps the levels the PWM wire takes, for [`Board::pwm_edges`].
     pub fn watch_pwm(&mut self) {
         self.silicon.watch();
+    }
+
+    /// Whether the chip drives the PWM wire, high or low; else only the pull-up holds it.
+    pub fn pwm_is_driven(&self) -> bool {
+        self.silicon.is_driven()
     }
 
     /// The levels the PWM wire took since it is watched, the one it had then first.
@@ -367,7 +379,7 @@ impl Board {
             Disturbance::ControlHung => self.control_hung = true,
             Disturbance::TasksHung => self.tasks_hung = true,
             Disturbance::Reset(cause) => self.restart(cause),
-            Disturbance::TaskPanic => self.panic(),
+            Disturbance::Panic(half) => self.panic(half),
             Disturbance::DriverPowerCycled => self.driver = DriverBoard::new(self.driver.health),
         }
     }
@@ -379,7 +391,7 @@ impl Board {
 
     /// Runs until the device clock shows `until_us`.
     pub fn run_until(&mut self, until_us: u64) {
-        if !self.tasks_hung {
+        if self.tasks_run() {
             self.firmware.poll();
         }
         while clock::now_us() < until_us {
@@ -392,16 +404,24 @@ impl Board {
             if next_us >= self.firmware.next_tick_us + self.late_us {
                 self.tick(next_us);
             }
-            if !self.tasks_hung {
+            if self.tasks_run() {
                 self.firmware.poll();
             }
             if self.firmware.shared.reboot.try_take().is_some() {
-                self.reboot = Some((next_us + REBOOT_US, ResetCause::Software));
+                self.reboot_us = Some(next_us + REBOOT_US);
             }
-            if let Some((at_us, cause)) = self.reboot
+            if self.reboot_us.is_some_and(|at| at <= next_us) {
+                let core = self.silicon.seen_by(Half::Tasks);
+                fatal::silence(&core, &self.silicon, self.firmware.flags, self.firmware.latch);
+                fatal::restart(&core);
+            }
+            if let Some((at_us, half)) = self.panicked
                 && at_us <= next_us
             {
-                self.restart(cause);
+                fatal::restart(&self.silicon.seen_by(half));
+            }
+            if self.silicon.take_reset() {
+                self.restart(if self.panicked.is_some() { ResetCause::Panic } else { ResetCause::Software });
             }
             if next_us.saturating_sub(self.fed_us.get()) > WATCHDOG_US {
                 self.restart(ResetCause::Watchdog);
@@ -463,20 +483,35 @@ impl Board {
         }
     }
 
-    /// What the panic handler of the tasks' core does.
-    fn panic(&mut self) {
-        self.tasks_hung = true;
-        stage::off_whatever_the_role(&self.silicon, self.firmware.flags);
-        // Where control has a core of its own, the handler stops that.
-        self.control_hung = self.chip == Chip::Esp32;
-        self.reboot = Some((clock::now_us() + PANIC_US, ResetCause::Panic));
+    fn control_runs(&self) -> bool {
+        // The core that starts the other has to run for either to.
+        let started = self.silicon.executes(Half::Tasks) || self.panicked.is_some();
+        !self.control_hung && self.silicon.interruptible(Half::Control) && started
+    }
+
+    fn tasks_run(&self) -> bool {
+        // A handler in an interrupt of the tasks' own core keeps them from running.
+        let pre_empted = self.panicked.is_some() && self.chip != Chip::Esp32;
+        !self.tasks_hung && self.silicon.executes(Half::Tasks) && !pre_empted
+    }
+
+    /// What the chip's panic handler does, on the core it is called on.
+    fn panic(&mut self, half: Half) {
+        let core = self.silicon.seen_by(half);
+        fatal::silence(&core, &self.silicon, self.firmware.flags, self.firmware.latch);
+        // The handler stands where the panic was: one core has both halves, or the other core is stalled.
+        match half {
+            Half::Tasks => self.tasks_hung = true,
+            Half::Control => self.control_hung = true,
+        }
+        self.panicked = Some((clock::now_us() + PANIC_US, half));
     }
 
     /// The PWM unit's interrupt, which has the tick's priority.
     fn pwm_interrupt(&mut self) {
-        if self.silicon.overflowed() && !self.control_hung {
+        if self.silicon.overflowed() && self.control_runs() {
             self.silicon.clear_overflow();
-            stage::period_began(&self.silicon, self.firmware.flags);
+            self.firmware.control.period_began(clock::now_us());
         }
     }
 
@@ -487,7 +522,7 @@ impl Board {
         while self.firmware.next_tick_us <= now_us {
             self.firmware.next_tick_us += u64::from(self.firmware.control.period_us());
         }
-        if self.control_hung {
+        if !self.control_runs() {
             return;
         }
         for _ in 0..self.chatter {
@@ -515,10 +550,10 @@ impl Board {
         self.from_board.clear();
         self.control_hung = false;
         self.tasks_hung = false;
-        self.reboot = None;
+        (self.reboot_us, self.panicked) = (None, None);
         clock::forget_timers();
         self.fed_us.set(clock::now_us());
-        self.silicon.reset(self.chip);
+        self.silicon.reset(self.chip, matches!(reset, ResetCause::Software | ResetCause::Panic));
         let wires = [&self.to_board, &self.from_board, &self.driver_rx, &self.driver_tx].map(Clone::clone);
         self.firmware = boot(&self.silicon, &self.encoder_level, &self.fed_us, &wires, reset);
     }

@@ -13,4 +13,4 @@ mod wire;
 pub use board::{Board, Disturbance, Setup};
 pub use driver_board::DriverHealth;
 pub use motor::{FirstOrderMotor, PlantMotor, SimulatedMotor};
-pub use silicon::{Chip, PadEdge};
+pub use silicon::{Chip, Half, PadEdge};

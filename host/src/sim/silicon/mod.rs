@@ -2,11 +2,15 @@
 //! ([`twum_firmware::stage`]) runs against it, so what the simulated board's pins do is what that code makes of the
 //! hardware the manuals describe.
 
+mod cores;
 mod ledc;
 
+use cores::Cores;
+pub use cores::Half;
 use ledc::Ledc;
 use std::cell::RefCell;
 use std::rc::Rc;
+use twum_firmware::fatal::System;
 use twum_firmware::stage::{Registers, Source, Wire};
 use twum_shared::Direction;
 
@@ -39,24 +43,27 @@ pub struct PadEdge {
     pub high: bool,
 }
 
-/// A wire's pad: "IO MUX and GPIO Matrix".
+/// A wire's pad: chapter "IO MUX and GPIO Matrix".
 #[derive(Clone, Debug)]
 struct Pad {
+    /// Whether the IO MUX gives the pad to the GPIO matrix.
+    taken: bool,
     level: bool,
     source: Source,
     output: bool,
 }
 
 impl Pad {
+    /// After reset no driver is on, and the pad has the function its column "reset" names, which need not be GPIO.
     const fn new() -> Self {
-        // After reset no driver is on.
-        Self { level: false, source: Source::Level, output: false }
+        Self { taken: false, level: false, source: Source::Level, output: false }
     }
 
-    /// The wire's level: driven, or pulled up (the 10 kΩ of the wiring) where nothing drives.
+    /// The wire's level: driven, or pulled up (the 10 kΩ of the wiring) where nothing drives. "GPIO output enable" and the
+    /// matrix reach a pad only through the IO MUX's function GPIO.
     fn wire_level(&self, unit: bool) -> bool {
-        match (self.output, self.source) {
-            (false, _) => true,
+        match (self.taken && self.output, self.source) {
+            (false, _) | (true, Source::Uart) => true,
             (true, Source::Level) => self.level,
             (true, Source::Pwm) => unit,
         }
@@ -68,6 +75,9 @@ impl Pad {
 pub(super) struct State {
     now: u64,
     ledc: Ledc,
+    cores: Cores,
+    /// A software reset was asked for.
+    reset: bool,
     pwm: Pad,
     direction: Pad,
     mark: Pad,
@@ -109,6 +119,8 @@ impl Silicon {
         let state = State {
             now,
             ledc: Ledc::new(chip, now),
+            cores: Cores::new(chip),
+            reset: false,
             pwm: Pad::new(),
             direction: Pad::new(),
             mark: Pad::new(),
@@ -118,8 +130,9 @@ impl Silicon {
     }
 
     /// "Reset and Clock": a reset of the digital system sets its modules back. Time goes on, and so does the watching.
-    pub fn reset(&self, chip: Chip) {
+    pub fn reset(&self, chip: Chip, software: bool) {
         let mut state = self.0.borrow_mut();
+        state.cores.reset(software);
         state.ledc = Ledc::new(chip, state.now);
         (state.pwm, state.direction, state.mark) = (Pad::new(), Pad::new(), Pad::new());
         state.note();
@@ -142,7 +155,7 @@ impl Silicon {
                 break;
             }
             state.now = next;
-            state.ledc.overflow(next);
+            state.ledc.turn(next);
             state.note();
         }
         state.now = until;
@@ -163,6 +176,12 @@ impl Silicon {
         self.0.borrow().pwm_level()
     }
 
+    /// Whether the PWM wire's driver is on.
+    pub fn is_driven(&self) -> bool {
+        let state = self.0.borrow();
+        state.pwm.taken && state.pwm.output
+    }
+
     /// The direction the wire says.
     pub fn direction(&self) -> Direction {
         Direction::from_pin(self.0.borrow().direction.level)
@@ -170,12 +189,37 @@ impl Silicon {
 
     /// Whether the PWM wire is disconnected from the unit.
     pub fn is_disconnected(&self) -> bool {
-        self.0.borrow().pwm.source == Source::Level
+        self.0.borrow().pwm.source != Source::Pwm
+    }
+
+    /// Whether the unit is told a drive's duty.
+    pub fn is_told_to_drive(&self) -> bool {
+        !self.0.borrow().ledc.is_told_off()
     }
 
     /// The levels the PWM wire took since it is watched.
     pub fn edges(&self) -> Vec<PadEdge> {
         self.0.borrow().edges.clone().unwrap_or_default()
+    }
+
+    /// Whether interrupts of this half's core are served.
+    pub fn interruptible(&self, half: Half) -> bool {
+        self.0.borrow().cores.interruptible(half)
+    }
+
+    /// Whether this half's core executes instructions.
+    pub fn executes(&self, half: Half) -> bool {
+        self.0.borrow().cores.executes(half)
+    }
+
+    /// Whether a software reset was asked for since the last time this was.
+    pub fn take_reset(&self) -> bool {
+        std::mem::take(&mut self.0.borrow_mut().reset)
+    }
+
+    /// The chip as the core of this half sees it.
+    pub fn seen_by(&self, half: Half) -> Core<'_> {
+        Core { silicon: self, half }
     }
 
     fn write(&self, change: impl FnOnce(&mut State)) {
@@ -186,6 +230,10 @@ impl Silicon {
 }
 
 impl Registers for Silicon {
+    fn take_pad(&self, wire: Wire) {
+        self.write(|state| state.pad(wire).taken = true);
+    }
+
     fn set_level(&self, wire: Wire, high: bool) {
         self.write(|state| state.pad(wire).level = high);
     }
@@ -198,19 +246,62 @@ impl Registers for Silicon {
         self.write(|state| state.pad(wire).output = on);
     }
 
+    fn receive_on(&self, _: Wire) {}
+
     fn write_duty(&self, high: u32) {
         self.write(|state| state.ledc.write_duty(high));
     }
 
-    fn write_divider(&self, divider: u32) {
-        self.write(|state| state.ledc.write_divider(divider, state.now));
+    fn start_duty(&self) {
+        self.write(|state| state.ledc.start_duty());
     }
 
-    fn reset_counter(&self) {
-        self.write(|state| state.ledc.reset_counter(state.now));
+    fn update_channel(&self) {
+        self.write(|state| state.ledc.update_channel());
+    }
+
+    fn loaded_duty(&self) -> u32 {
+        self.0.borrow().ledc.loaded_duty()
+    }
+
+    fn write_divider(&self, divider: u32) {
+        self.write(|state| state.ledc.write_divider(divider));
+    }
+
+    fn update_timer(&self) {
+        self.write(|state| state.ledc.update_timer(state.now));
+    }
+
+    fn count(&self) -> u32 {
+        let state = self.0.borrow();
+        state.ledc.count(state.now)
     }
 
     fn clear_overflow(&self) {
         self.write(|state| state.ledc.overflowed = false);
+    }
+}
+
+/// The chip as one of its cores sees it.
+pub(super) struct Core<'a> {
+    silicon: &'a Silicon,
+    half: Half,
+}
+
+impl System for Core<'_> {
+    fn mask_interrupts(&self) {
+        self.silicon.0.borrow_mut().cores.mask(self.half);
+    }
+
+    fn hold_other_core(&self) {
+        self.silicon.0.borrow_mut().cores.stall_other(self.half, true);
+    }
+
+    fn release_other_core(&self) {
+        self.silicon.0.borrow_mut().cores.stall_other(self.half, false);
+    }
+
+    fn reset(&self) {
+        self.silicon.0.borrow_mut().reset = true;
     }
 }
