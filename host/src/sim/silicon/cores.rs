@@ -62,3 +62,40 @@ impl Cores {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_masked_core_serves_no_interrupt_until_any_reset() {
+        for software in [true, false] {
+            let mut cores = Cores::new(Chip::Esp32);
+            cores.mask(Half::Tasks);
+            assert!(!cores.interruptible(Half::Tasks) && cores.interruptible(Half::Control));
+            assert!(cores.executes(Half::Tasks), "it goes on with what it was at");
+            cores.reset(software);
+            assert!(cores.interruptible(Half::Tasks));
+        }
+        let mut one = Cores::new(Chip::Esp32c3);
+        one.mask(Half::Tasks);
+        assert!(!one.interruptible(Half::Control), "one core serves both halves");
+    }
+
+    #[test]
+    fn a_stall_ends_with_its_release_or_a_reset_that_reaches_the_rtc() {
+        let mut cores = Cores::new(Chip::Esp32);
+        cores.stall_other(Half::Control, true);
+        assert!(!cores.executes(Half::Tasks) && !cores.interruptible(Half::Tasks) && cores.executes(Half::Control));
+        cores.reset(true);
+        assert!(!cores.executes(Half::Tasks), "a software reset does not reach it");
+        let mut released = cores.clone();
+        released.stall_other(Half::Control, false);
+        assert!(released.executes(Half::Tasks));
+        cores.reset(false);
+        assert!(cores.executes(Half::Tasks));
+        let mut one = Cores::new(Chip::Esp32c6);
+        one.stall_other(Half::Control, true);
+        assert!(one.executes(Half::Tasks), "there is no other core to stall");
+    }
+}

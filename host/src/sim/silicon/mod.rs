@@ -305,3 +305,41 @@ impl System for Core<'_> {
         self.silicon.0.borrow_mut().reset = true;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wire_is_pulled_up_until_its_pad_is_taken_and_its_driver_on() {
+        let mut pad = Pad::new();
+        assert!(pad.wire_level(false), "after reset");
+        pad.output = true;
+        assert!(pad.wire_level(false), "the pad is still another function's");
+        pad.taken = true;
+        assert!(!pad.wire_level(true), "its own level");
+        pad.source = Source::Pwm;
+        assert!(pad.wire_level(true) && !pad.wire_level(false), "the unit's");
+        pad.output = false;
+        assert!(pad.wire_level(false), "pulled up");
+    }
+
+    #[test]
+    fn a_write_shows_on_the_wire_at_once_and_a_reset_lets_go_of_it() {
+        let chip = Silicon::new(Chip::Esp32c3, 0);
+        chip.watch();
+        for wire in [Wire::Pwm, Wire::Direction] {
+            chip.take_pad(wire);
+            chip.enable_output(wire, true);
+        }
+        chip.advance(3);
+        chip.set_level(Wire::Pwm, true);
+        chip.advance(5);
+        chip.set_level(Wire::Pwm, false);
+        chip.advance(8);
+        chip.reset(Chip::Esp32c3, true);
+        let edges = [(0, true), (0, false), (3, true), (5, false), (8, true)];
+        assert_eq!(chip.edges(), edges.map(|(us, high)| PadEdge { time_ns: us * 1_000, high }));
+        assert!(!chip.is_driven());
+    }
+}
