@@ -18,6 +18,7 @@ pub const ENCODER_PIN: u8 = 4;
 pub const PWM_PIN: u8 = 16;
 pub const DIRECTION_PIN: u8 = 17;
 pub const MARK_PIN: u8 = 19;
+pub const STOP_PIN: u8 = 18;
 
 pub const PWM_DUTY: Duty = Duty::Duty14Bit;
 /// GPIO matrix words (reference manual, GPIO_FUNCn_OUT_SEL_CFG): the source, and bit 10, output enable by GPIO_ENABLE.
@@ -203,6 +204,7 @@ pub fn take_pad(pin: u8, listens: bool) {
     let pad = match pin {
         PWM_PIN => pads.gpio16(),
         DIRECTION_PIN => pads.gpio17(),
+        STOP_PIN => pads.gpio18(),
         _ => pads.gpio19(),
     };
     // SAFETY: a function and a strength every pad has.

@@ -1,7 +1,8 @@
 //! ESP32-C3's own.
 //!
 //! The pins are plain GPIO at reset ("IO MUX and GPIO Matrix", table "IO MUX Pin Functions": function 0 of GPIO 0, 1, 3 and
-//! 10 is the GPIO itself). GPIO 4 to 7 would not be: they are the JTAG port's then; 2, 8 and 9 choose how the chip boots.
+//! 10 is the GPIO itself). GPIO 4 to 7 would not be: they are the JTAG port's then, of which 4 is an input and serves as one; 2, 8
+//! and 9 choose how the chip boots.
 
 use esp_hal::peripherals::{LEDC, LPWR};
 
@@ -10,6 +11,7 @@ pub const ENCODER_PIN: u8 = 0;
 pub const PWM_PIN: u8 = 10;
 pub const DIRECTION_PIN: u8 = 3;
 pub const MARK_PIN: u8 = 1;
+pub const STOP_PIN: u8 = 4;
 
 /// The pins other drivers take: encoder, link's receive and transmit.
 macro_rules! pins {

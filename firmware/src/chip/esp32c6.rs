@@ -9,6 +9,7 @@ pub const ENCODER_PIN: u8 = 20;
 pub const PWM_PIN: u8 = 18;
 pub const DIRECTION_PIN: u8 = 19;
 pub const MARK_PIN: u8 = 21;
+pub const STOP_PIN: u8 = 22;
 
 /// The pins other drivers take: encoder, link's receive and transmit.
 macro_rules! pins {

@@ -31,6 +31,9 @@ impl ControlLoop {
     fn tick(&mut self) {
         let now_us = board::clock_us();
         let due_us = self.due_us.unwrap_or(now_us);
+        if !stage::level(board::STOP_PIN) {
+            self.control.stop_input_is_low();
+        }
         self.control.tick(due_us, now_us, stage::level(board::ENCODER_PIN), board::clock_us);
 
         // Periods that passed meanwhile are skipped, not made up for: the timer raised one interrupt for all of them.
@@ -69,6 +72,8 @@ pub fn begin(control: ControlLoop) {
     let period_us = control.period_us;
     // SAFETY: the interrupts are not bound yet, so this is the only access.
     unsafe { *LOOP.0.get() = Some(control) };
+    // Pulled up: nothing connected is no stop.
+    board::take_pad(board::STOP_PIN, true);
     esp_hal::interrupt::bind_handler(board::TICK_INTERRUPT, handler(tick));
     board::set_tick_period(period_us);
     esp_hal::interrupt::bind_handler(esp_hal::peripherals::Interrupt::GPIO, handler(edge));

@@ -126,6 +126,13 @@ impl<'a, S: OutputStage> Control<'a, S> {
         !Shared::is_live(self.mode)
     }
 
+    /// The stop input is low. A board says so before each tick for as long as it is: that tick latches it, again after every
+    /// `stop`.
+    #[inline]
+    pub fn stop_input_is_low(&self) {
+        self.shared.request_fault(Fault::ExternalStop);
+    }
+
     /// One control period: due at `due_us`, started at `now_us` (device clock), with the encoder pin's level; `clock` reads
     /// the device clock again at the end, for the tick's own duration.
     pub fn tick(&mut self, due_us: u64, now_us: u64, level: bool, clock: impl FnOnce() -> u64) {

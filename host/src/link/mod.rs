@@ -5,6 +5,7 @@
 
 pub mod bench;
 mod pty;
+mod readback;
 mod serial;
 mod session;
 mod simulated;

@@ -1,9 +1,11 @@
 use super::clock;
 use super::driver_board::{DriverBoard, DriverHealth};
+use super::flash::Flash;
 use super::motor::{FirstOrderMotor, SimulatedMotor};
 use super::silicon::{Chip, Half, PadEdge, Silicon};
 use super::wire::{Uart, Wire};
-use embassy_futures::join::join4;
+use embassy_futures::block_on;
+use embassy_futures::join::join5;
 use embedded_hal::digital::{ErrorType as PinErrorType, InputPin};
 use embedded_io_async::{ErrorType, Read, Write};
 use std::cell::Cell;
@@ -23,6 +25,7 @@ use twum_firmware::link::{About, receive, transmit};
 use twum_firmware::output::{Latch, Output};
 use twum_firmware::queues::Queues;
 use twum_firmware::stage::{self, Flags, Registers, Stage};
+use twum_firmware::store::{self, Store};
 use twum_firmware::watchdog::{Watchdog, supervise};
 use twum_shared::message::{Mode, ResetCause};
 use twum_shared::{Direction, Fault};
@@ -81,6 +84,8 @@ pub enum Disturbance {
     Chatter(u32),
     /// The encoder line is dead.
     EncoderDead(bool),
+    /// The stop input is pulled low, or released.
+    StopInput(bool),
     /// A task asks for this fault, as it does when it meets it.
     Fault(Fault),
     /// The control interrupt no longer runs: the hardware watchdog has to act.
@@ -196,6 +201,7 @@ impl Firmware {
         driver: Uart,
         pin: EncoderPin,
         fed: Rc<Cell<u64>>,
+        flash: Flash,
         reset: ResetCause,
     ) -> Self {
         // A chip keeps these in static memory; a simulated boot leaks them (30 KB), which keeps every lifetime the chip's.
@@ -211,13 +217,20 @@ impl Firmware {
             chip: heapless::String::try_from("simulated").unwrap_or_default(),
             reset,
         };
+        let mut control = Control::new(shared, control_ends, output, reset);
+        let mut store = Store::new(flash, Flash::RANGE).expect("the range is whole pages");
+        if let Some(configuration) = block_on(store.load()) {
+            // As on a chip: one that no longer validates leaves the board unconfigured.
+            let _ = control.restore(configuration);
+        }
         let receiver = uart.clone();
         let tasks: Tasks = Box::pin(async move {
-            join4(
+            join5(
                 receive(shared, receiver),
                 transmit(shared, transmit_ends, about, uart),
                 serve(shared, driver, pin),
                 supervise(shared, Feeder(fed)),
+                store::keep(shared, store),
             )
             .await;
         });
@@ -226,7 +239,7 @@ impl Firmware {
             shared,
             flags,
             latch,
-            control: Control::new(shared, control_ends, output, reset),
+            control,
             interrupt: EncoderInterrupt::new(shared, edges),
             tasks,
             waker: Waker::from(woken.clone()),
@@ -251,6 +264,7 @@ pub struct Board {
     silicon: Silicon,
     encoder_level: Rc<Cell<bool>>,
     fed_us: Rc<Cell<u64>>,
+    flash: Flash,
     to_board: Wire,
     from_board: Wire,
     driver_rx: Wire,
@@ -264,6 +278,7 @@ pub struct Board {
     late_us: u64,
     chatter: u32,
     encoder_dead: bool,
+    stop_input_low: bool,
     control_hung: bool,
     tasks_hung: bool,
     reboot_us: Option<u64>,
@@ -280,7 +295,8 @@ impl Board {
         let (to_board, from_board) = (Wire::new(LINK_BAUD), Wire::new(LINK_BAUD));
         let (driver_rx, driver_tx) = (Wire::new(DRIVER_BAUD), Wire::new(DRIVER_BAUD));
         let wires = [&to_board, &from_board, &driver_rx, &driver_tx].map(Clone::clone);
-        let firmware = boot(&silicon, &encoder_level, &fed_us, &wires, setup.reset);
+        let flash = Flash::erased();
+        let firmware = boot(&silicon, &encoder_level, &fed_us, &flash, &wires, setup.reset);
         let mut motor = setup.motor;
         let angle_rad = motor.advance(0.0, false, Direction::Cw);
         Self {
@@ -289,6 +305,7 @@ impl Board {
             silicon,
             encoder_level,
             fed_us,
+            flash,
             to_board,
             from_board,
             driver_rx,
@@ -302,6 +319,7 @@ impl Board {
             late_us: 0,
             chatter: 0,
             encoder_dead: false,
+            stop_input_low: false,
             control_hung: false,
             tasks_hung: false,
             reboot_us: None,
@@ -375,6 +393,7 @@ impl Board {
             Disturbance::LateTicks(late_us) => self.late_us = late_us,
             Disturbance::Chatter(edges) => self.chatter = edges,
             Disturbance::EncoderDead(dead) => self.encoder_dead = dead,
+            Disturbance::StopInput(low) => self.stop_input_low = low,
             Disturbance::Fault(fault) => self.firmware.shared.request_fault(fault),
             Disturbance::ControlHung => self.control_hung = true,
             Disturbance::TasksHung => self.tasks_hung = true,
@@ -525,6 +544,9 @@ impl Board {
         if !self.control_runs() {
             return;
         }
+        if self.stop_input_low {
+            self.firmware.control.stop_input_is_low();
+        }
         for _ in 0..self.chatter {
             let level = !self.encoder_level.get();
             self.encoder_level.set(level);
@@ -555,7 +577,7 @@ impl Board {
         self.fed_us.set(clock::now_us());
         self.silicon.reset(self.chip, matches!(reset, ResetCause::Software | ResetCause::Panic));
         let wires = [&self.to_board, &self.from_board, &self.driver_rx, &self.driver_tx].map(Clone::clone);
-        self.firmware = boot(&self.silicon, &self.encoder_level, &self.fed_us, &wires, reset);
+        self.firmware = boot(&self.silicon, &self.encoder_level, &self.fed_us, &self.flash, &wires, reset);
     }
 }
 
@@ -563,10 +585,11 @@ fn boot(
     silicon: &Silicon,
     level: &Rc<Cell<bool>>,
     fed_us: &Rc<Cell<u64>>,
+    flash: &Flash,
     [to_board, from_board, driver_rx, driver_tx]: &[Wire; 4],
     reset: ResetCause,
 ) -> Firmware {
     let uart = Uart { rx: to_board.clone(), tx: from_board.clone() };
     let driver_uart = Uart { rx: driver_rx.clone(), tx: driver_tx.clone() };
-    Firmware::boot(silicon, uart, driver_uart, EncoderPin(level.clone()), fed_us.clone(), reset)
+    Firmware::boot(silicon, uart, driver_uart, EncoderPin(level.clone()), fed_us.clone(), flash.clone(), reset)
 }

@@ -6,6 +6,7 @@
 mod board;
 pub mod clock;
 mod driver_board;
+mod flash;
 mod motor;
 mod silicon;
 mod wire;

@@ -193,6 +193,13 @@ const SCENARIOS: &[Scenario] = &[
         within: 1,
     },
     Scenario {
+        fault: Fault::ExternalStop,
+        provoked_by: "the stop input pulled low",
+        make: || disturbed(running(), Disturbance::StopInput(true)),
+        host_alive: true,
+        within: 1,
+    },
+    Scenario {
         fault: Fault::BootFromWatchdog,
         provoked_by: "the control interrupt hangs: hardware watchdog",
         // 1 s of watchdog and up to 100 ms since it was last fed.
@@ -229,6 +236,12 @@ fn every_fault_switches_off_within_its_stated_ticks_and_latches() {
         bench.wait(if *fault == Fault::BootFromPanic { 700 } else { 50 });
         if !matches!(fault, Fault::BootFromWatchdog | Fault::BootFromPanic) {
             assert_eq!(bench.reported_fault().expect("the fault is reported").fault, *fault, "{provoked_by}");
+        }
+        if *fault == Fault::ExternalStop {
+            bench.session.stop().expect("stopping is never refused");
+            bench.wait(10);
+            assert_eq!(bench.board().mode(), Mode::Fault, "the input is still low");
+            bench.board().disturb(Disturbance::StopInput(false));
         }
         bench.assert_latched(*fault);
         // With its cause gone, stop and arm open the way again.

@@ -3,6 +3,7 @@
 mod bench;
 mod chaos;
 mod closed_loop;
+mod configuration;
 mod document;
 mod faults;
 mod link;
