@@ -322,7 +322,7 @@ mod tests {
             ("control = \"pid\"", "`control` = \"pid\": `thesis`"),
             ("[control]\nkp = true", "`control.kp` = true: a number"),
             ("[control]\nkp = nan", "`control.kp` = nan: not a number"),
-            ("[control]\nkp = 1e300", "`control.kp` = 1e300: not a number"),
+            ("[control]\nkp = 1e300", "not a number that fixed point can hold"),
             ("[control]\nkp = 2000", "[control]: gain kp"),
             ("[control]\nki = 1", "`control.ki` is unknown"),
             ("[limits]\nstall_ms = -1", "`limits.stall_ms` = -1"),

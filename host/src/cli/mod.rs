@@ -8,6 +8,7 @@ mod connect;
 mod demo;
 mod diagnose;
 mod driver;
+pub mod exit;
 mod experiment;
 mod export;
 mod flash;
@@ -35,7 +36,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about)]
+#[command(name = "twum", version, about, after_help = exit::HELP)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

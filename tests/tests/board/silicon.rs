@@ -5,7 +5,7 @@ use crate::bench::{Bench, TICK_US, default_configuration, speed};
 use crate::document;
 use std::fmt::Write;
 use twum_host::sim::{Chip, Disturbance, Half, PadEdge, Setup};
-use twum_shared::message::{Configuration, DeviceMessage, HostMessage, Mode, ResetCause, TrackRun};
+use twum_shared::message::{Configuration, DeviceMessage, Mode, ResetCause, TrackRun};
 use twum_shared::reference::Reference;
 use twum_shared::{Direction, Duty};
 
@@ -29,7 +29,7 @@ fn tracking(chip: Chip) -> Bench {
     let reference = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
     bench.session.start_track(TrackRun { reference, duration_ms: 60_000 }).expect("run");
     bench.wait(1_500);
-    bench.session.send(&HostMessage::Keepalive).expect("the link is up");
+    bench.session.keep_alive().expect("the link is up");
     bench.board().run_for(2_000);
     bench
 }
@@ -58,6 +58,8 @@ fn after_a_panic_on_either_core_the_board_restarts_by_itself_and_says_why() {
             bench.board().disturb(Disturbance::Panic(half));
             // The handler takes 0.6 s; the watchdog would bite after 1 s.
             bench.board().run_for(700_000);
+            // The first that is heard is that it restarted.
+            let _ = bench.session.hello();
             let identity = bench.session.hello().expect("the board answers");
             assert_eq!((identity.reset, identity.mode), (ResetCause::Panic, Mode::Fault), "{chip:?}, {half:?}");
         }
