@@ -1,6 +1,7 @@
 //! Arguments every command that talks to a board shares.
 
 use super::exit;
+use super::signals::on_signal;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -38,19 +39,18 @@ const STOPPING: Duration = Duration::from_secs(5);
 /// Makes Ctrl-C set [`INTERRUPTED`].
 pub fn catch_interrupts() -> Result<()> {
     let mut first = None;
-    ctrlc::set_handler(move || {
+    on_signal(move || {
         let since = first.get_or_insert_with(Instant::now).elapsed();
         if INTERRUPTED.swap(true, Ordering::Relaxed) && (!is_motor_held() || since > STOPPING) {
             std::process::exit(exit::INTERRUPTED.into());
         }
     })
-    .context("cannot catch Ctrl-C")
 }
 
 /// How a board was reached.
 pub enum Reached<T> {
     /// Over its port.
-    Port(Session<Box<dyn Port>>),
+    Port(Box<Session<Box<dyn Port>>>),
     /// Through the program that holds the port: its answer.
     Through(T),
 }
@@ -79,7 +79,7 @@ impl ConnectArgs {
     /// Opens the port, or asks `through` the program of this user that holds it.
     pub fn session_or<T>(&self, through: impl Fn(&str) -> Result<T, relay::RelayError>) -> Result<Reached<T>> {
         let cannot_open = match self.session() {
-            Ok(session) => return Ok(Reached::Port(session)),
+            Ok(session) => return Ok(Reached::Port(Box::new(session))),
             Err(error) => error,
         };
         match through(&self.port) {

@@ -10,7 +10,7 @@ use twum_shared::message::Refusal;
 pub const HELP: &str = "\
 Exit codes: 0 done. 1 done, and the answer is no (frames lost, a tick differs, beyond a bound). 2 not done: bad input, no
 port, refused. 3 a fault stopped the motor, or is latched; `twum stop` clears it. 4 somebody else's stop or the board's
-restart ended the run. 5 the port was lost, or the motor was not seen to stand. 130 interrupted (Ctrl-C, TERM, HUP).";
+restart ended the run. 5 the port was lost, or the motor was not seen to stand. 130 interrupted (Ctrl-C, TERM, HUP, QUIT).";
 
 const BAD_INPUT: u8 = 2;
 const FAULT: u8 = 3;

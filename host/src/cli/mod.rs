@@ -24,6 +24,7 @@ mod plot;
 mod ports;
 mod reboot;
 mod replay;
+mod signals;
 mod sim;
 mod speed;
 mod stop;
