@@ -13,8 +13,8 @@ use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage};
 use twum_shared::message::Configuration;
 
-/// Changes with every change of [`Configuration`].
-const VERSION: u8 = 1;
+/// Changes with every change of [`Configuration`], or of what its numbers mean.
+const VERSION: u8 = 2;
 /// Longest record, and room to align it.
 const BUFFER: usize = 256;
 static CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
@@ -111,7 +111,7 @@ mod tests {
     use crate::control::Control;
     use crate::output::{Latch, Output, OutputStage};
     use crate::queues::Queues;
-    use crate::shared::{Command, Event, Request};
+    use crate::shared::{Asked, Command, Event, Request};
     use embassy_futures::block_on;
     use embedded_storage_async::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind, ReadNorFlash};
     use std::vec::Vec;
@@ -266,16 +266,17 @@ mod tests {
                 _ => None,
             })
         };
+        let asked = Asked { token: 1, heard_us: 0 };
         shared.will_keep();
         assert_eq!(answer(Request::Configure(configuration(50))), Some(None));
-        assert_eq!(answer(Request::Arm), Some(Some(Refusal::Busy)));
+        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::Busy)));
         assert_eq!(block_on(shared.to_keep()), configuration(50));
         assert_eq!(answer(Request::Configure(configuration(60))), Some(None));
         shared.kept();
-        assert_eq!(answer(Request::Arm), Some(Some(Refusal::Busy)), "the newer one is still to be kept");
+        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::Busy)), "the newer one is still to be kept");
         assert_eq!(block_on(shared.to_keep()), configuration(60));
         shared.kept();
-        assert_eq!(answer(Request::Arm), Some(Some(Refusal::NotAligned)), "keeping no longer stands in the way");
+        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::NotAligned)), "keeping no longer stands in the way");
     }
 
     #[test]
