@@ -109,7 +109,7 @@ mod tests {
     extern crate std;
     use super::*;
     use crate::control::Control;
-    use crate::output::{Output, OutputStage};
+    use crate::output::{Latch, Output, OutputStage};
     use crate::queues::Queues;
     use crate::shared::{Asked, Command, Event, Request};
     use embassy_futures::block_on;
@@ -244,7 +244,9 @@ mod tests {
     impl OutputStage for NoStage {
         fn off(&mut self) {}
         fn drive(&mut self, _: Duty, _: Direction) {}
-        fn restart_period(&mut self) {}
+        fn period_began(&mut self) -> Option<u32> {
+            None
+        }
         fn set_frequency(&mut self, _: u16) {}
         fn mark(&mut self, _: bool) {}
     }
@@ -253,7 +255,8 @@ mod tests {
     fn the_motor_cannot_be_armed_until_its_configuration_is_kept() {
         let (shared, mut queues) = (Shared::new(), Queues::new());
         let (ends, _, _) = queues.split();
-        let mut control = Control::new(&shared, ends, Output::boot(NoStage), ResetCause::PowerOn);
+        static LATCH: Latch = Latch::new();
+        let mut control = Control::new(&shared, ends, Output::boot(NoStage, &LATCH), ResetCause::PowerOn);
         let mut answer = |request| {
             assert!(shared.commands.push(Command::Host(7, request)).is_ok());
             control.tick(0, 0, false, || 0);

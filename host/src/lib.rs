@@ -1,6 +1,7 @@
 //! Host side of a travelling-wave ultrasonic motor bench.
 
 pub mod compare;
+pub mod configuration;
 pub mod demo;
 pub mod diagnose;
 pub mod identify;

@@ -47,7 +47,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Way::Ccw => Direction::Ccw,
     };
     let experiment = Experiment {
-        configuration: Some(args.configuration.configuration()?),
+        configuration: None,
         capture: ALL_STREAMS,
         action: Action::Speed(SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? }),
         recording: args.record.out.clone(),
@@ -55,7 +55,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     };
     let spinner = spinner();
     spinner.set_message("running");
-    let outcome = args.connect.perform(&experiment, |_| {})?;
+    let outcome = args.connect.perform_with(&args.configuration, experiment, |_| {})?;
     spinner.finish_and_clear();
     args.record.conclude(&outcome)
 }

@@ -3,6 +3,7 @@
 mod bench;
 mod chaos;
 mod closed_loop;
+mod configuration;
 mod dead_encoder;
 mod document;
 mod faults;
@@ -11,5 +12,6 @@ mod link;
 mod recording;
 mod runs;
 mod saturated_link;
+mod silicon;
 mod soak;
 mod text_mode;
