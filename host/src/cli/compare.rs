@@ -8,6 +8,7 @@ use twum_host::compare::closed_loop::{self, ClosedLoop};
 use twum_host::compare::simulation::{Comparison, compare};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
+use twum_host::output::{self, Existing};
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, RunKind};
 use twum_host::report::comparison::page;
@@ -77,6 +78,9 @@ struct Found {
 
 /// Runs `twum compare`.
 pub fn run(args: Args) -> Result<ExitCode> {
+    for path in args.plot.iter().chain(&args.report) {
+        output::may_write(path, Existing::Keep)?;
+    }
     let (mut measurement, notes) = load_runs(&args.folder)?;
     for note in notes {
         eprintln!("note: {note}");
@@ -100,7 +104,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     if let Some(path) = &args.report {
         let page = page(&measurement.name, found.simulation.as_ref(), &found.closed_loops)?;
-        page.write(path).with_context(|| format!("cannot write {}", path.display()))?;
+        page.write(path)?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&found)?);

@@ -1,5 +1,6 @@
 //! `twum export`.
 
+use super::existing::ExistingArgs;
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -15,7 +16,7 @@ Examples:
                                              decoded signals with schemas, for Foxglove or PlotJuggler
   twum export run.mcap --to folder bench3    a measurement folder for `twum compare` and `twum diagnose`
 
-The recording itself is never changed and nothing is overwritten.")]
+The recording itself is never changed, and folders are never overwritten.")]
 pub struct Args {
     /// Recording made by `twum capture`, `twum speed` or `twum track`
     recording: PathBuf,
@@ -27,6 +28,8 @@ pub struct Args {
     /// Encoder data of open-loop runs in a measurement folder, where both were captured
     #[arg(long, value_enum, default_value = "edges")]
     encoder: Encoder,
+    #[command(flatten)]
+    existing: ExistingArgs,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -50,7 +53,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     let done = match args.to {
         Target::Csv => write_csv(&recording, &args.out).map(|()| Vec::new()),
-        Target::Mcap => write_mcap(&recording, &args.out).map(|()| Vec::new()),
+        Target::Mcap => write_mcap(&recording, &args.out, args.existing.into()).map(|()| Vec::new()),
         Target::Folder => {
             let name = args.recording.file_stem().map_or_else(Default::default, |stem| stem.to_string_lossy());
             let source = match args.encoder {

@@ -7,6 +7,7 @@ mod connect;
 mod demo;
 mod diagnose;
 mod driver;
+mod existing;
 mod experiment;
 mod export;
 mod identify;
@@ -32,7 +33,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about)]
+#[command(name = "twum", version, about, after_help = existing::POLICY)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

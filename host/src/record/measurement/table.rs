@@ -3,7 +3,7 @@
 use super::{
     ControlRow, Direction, DriveResponse, Format, LevelEdge, MAX_LOADED_BYTES, MAX_RECORD_S, MeasurementError, RunData,
 };
-use std::fs::File;
+use crate::input;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -202,12 +202,7 @@ struct Clock {
 
 /// Opens a regular file.
 pub(super) fn open(path: &Path) -> Result<Box<dyn BufRead>, MeasurementError> {
-    let metadata = std::fs::metadata(path).map_err(|source| MeasurementError::io(path, source))?;
-    // A pipe or device in the place of a file would block or never end.
-    if !metadata.is_file() {
-        return Err(MeasurementError::whole(path, "not a regular file"));
-    }
-    let file = File::open(path).map_err(|source| MeasurementError::io(path, source))?;
+    let file = input::open(path).map_err(|source| MeasurementError::io(path, source))?;
     Ok(Box::new(BufReader::with_capacity(1 << 16, file)))
 }
 

@@ -1,10 +1,11 @@
 use super::writer::{CHANNEL_DEVICE, CHANNEL_HOST, CHANNEL_RECORDER};
 use super::{MAX_RECORD, METADATA_NAME, Metadata, Sender, StoreError};
+use crate::input;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Bytes asked for at once.
@@ -142,12 +143,12 @@ impl Reader<File> {
     /// When the file cannot be read, or is not a recording.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         let path = path.as_ref();
-        let file = File::open(path).map_err(|reason| StoreError::io(path, reason))?;
-        let length = file.metadata().map_err(|reason| StoreError::io(path, reason))?;
-        if !length.is_file() {
-            return Err(StoreError::not(path, "not a regular file"));
-        }
-        if length.len() == 0 {
+        let file = input::open(path).map_err(|reason| match reason.kind() {
+            io::ErrorKind::InvalidInput => StoreError::not(path, "not a regular file"),
+            _ => StoreError::io(path, reason),
+        })?;
+        let length = file.metadata().map_err(|reason| StoreError::io(path, reason))?.len();
+        if length == 0 {
             return Err(StoreError::not(path, "the file is empty: the recorder was stopped before its first frame"));
         }
         Self::new(file, path)
