@@ -65,6 +65,11 @@ pub fn bytes(path: &Path, most: u64) -> Result<Vec<u8>, Error> {
     Ok(bytes)
 }
 
+/// Text from outside as it may be shown: what a device or a file says must not command the terminal.
+pub fn printable(text: &str) -> String {
+    text.chars().flat_map(|c| if c.is_control() { c.escape_default().collect() } else { vec![c] }).collect()
+}
+
 /// The text of a file.
 ///
 /// # Errors
@@ -87,6 +92,11 @@ mod tests {
         std::fs::write(&path, b"\xff").unwrap();
         assert_eq!(text(&path, 4).unwrap_err().kind(), ErrorKind::InvalidData);
         assert_eq!(bytes(dir.path(), 4).unwrap_err().kind(), ErrorKind::InvalidInput);
+    }
+
+    #[test]
+    fn what_commands_a_terminal_is_escaped_and_other_text_stays() {
+        assert_eq!(printable("30 mm, µ\u{1b}[2J\r\n\u{9b}1m\u{7}"), "30 mm, µ\\u{1b}[2J\\r\\n\\u{9b}1m\\u{7}");
     }
 
     #[cfg(unix)]

@@ -3,6 +3,7 @@
 mod cli;
 
 use clap::Parser;
+use cli::exit::Exit;
 use std::any::Any;
 use std::io::ErrorKind;
 use std::panic::{self, catch_unwind, resume_unwind};
@@ -11,7 +12,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let report = panic::take_hook();
     panic::set_hook(Box::new(move |info| {
-        if !is_closed_stdout(info.payload()) {
+        if failed_stdout(info.payload()).is_none() {
             report(info);
         }
     }));
@@ -22,9 +23,13 @@ fn main() -> ExitCode {
         }
         Ok(Err(error)) => {
             eprintln!("error: {error:#}");
-            ExitCode::from(2)
+            Exit::of(&error).into()
         }
         Err(payload) if is_closed_stdout(payload.as_ref()) => ExitCode::SUCCESS,
+        Err(payload) if failed_stdout(payload.as_ref()).is_some() => {
+            eprintln!("error: {}", failed_stdout(payload.as_ref()).unwrap_or_default());
+            Exit::Failed.into()
+        }
         Err(payload) => resume_unwind(payload),
     }
 }
@@ -34,7 +39,13 @@ fn main() -> ExitCode {
 /// It has to stay a panic. The signal that other programs die by here would leave a motor turning or a generator's
 /// outputs on; unwinding switches them off.
 fn is_closed_stdout(payload: &(dyn Any + Send)) -> bool {
+    failed_stdout(payload).is_some_and(|message| message.contains("os error 32"))
+}
+
+/// The message of a panic that is `println!` finding that standard output takes no more, such as on a full disk.
+fn failed_stdout(payload: &(dyn Any + Send)) -> Option<&str> {
     payload
         .downcast_ref::<String>()
-        .is_some_and(|m| m.starts_with("failed printing to stdout") && m.contains("os error 32"))
+        .map(String::as_str)
+        .filter(|message| message.starts_with("failed printing to stdout"))
 }

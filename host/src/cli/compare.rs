@@ -1,12 +1,12 @@
 //! `twum compare`.
 
+use super::diagnose::motor_of;
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::compare::closed_loop::{self, ClosedLoop};
 use twum_host::compare::simulation::{Comparison, compare};
-use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::output::{self, Existing};
 use twum_host::record::load::load_runs;
@@ -120,11 +120,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
 }
 
 fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
-    let motor = match (&args.motor, measurement.motor_file()) {
-        (Some(named), _) => Motor::load(named)?,
-        (None, Some(file)) => Motor::load(&file.to_string_lossy())?,
-        (None, None) => Motor::shipped(&measurement.motor)?,
-    };
+    let motor = motor_of(measurement, args.motor.as_deref())?
+        .context("an ordinary motor has no motor file to simulate: `twum diagnose` takes it")?;
     let flavour = match args.flavour {
         FlavourArg::Thesis => Flavour::Thesis,
         FlavourArg::Physical => Flavour::Physical,

@@ -1,10 +1,13 @@
 //! Arguments every command that talks to a board shares.
 
-use anyhow::{Context, Result, anyhow, bail};
+use super::exit::Exit;
+use super::output::say;
+use anyhow::{Context, Result, bail};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use twum_host::link::bench::{Experiment, Outcome, perform};
 use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink};
+use twum_host::model::motor::Motor;
 use twum_host::record::measurement::ControlSpec;
 use twum_host::sim::Setup;
 use twum_shared::message::{CaptureMode, Configuration, RunEnd};
@@ -69,9 +72,9 @@ pub struct ConfigurationArgs {
     /// PWM frequency, Hz
     #[arg(long, default_value_t = 50)]
     pwm_hz: u16,
-    /// Motor parameter set, kept in the recording
-    #[arg(long, default_value = "pcbmotor-30mm")]
-    pub motor: String,
+    /// Motor on the bench, a shipped one or a motor file: its content is kept in the recording
+    #[arg(long, value_name = "NAME|FILE", default_value = "pcbmotor-30mm")]
+    motor: String,
 }
 
 impl ConfigurationArgs {
@@ -80,6 +83,13 @@ impl ConfigurationArgs {
         let control = ControlSpec::named(&self.control)?.config()?;
         let (edges_per_rev, pwm_hz) = (self.edges_per_rev, self.pwm_hz);
         Ok(Configuration { edges_per_rev, pwm_hz, ..Configuration::with_control(control) })
+    }
+}
+
+impl ConfigurationArgs {
+    /// What the recording keeps of the motor.
+    pub fn motor(&self) -> Result<String> {
+        Ok(Motor::kept(&self.motor)?)
     }
 }
 
@@ -98,43 +108,72 @@ pub struct RecordArgs {
 }
 
 impl RecordArgs {
-    /// Prints how it went; the exit code is 1 for a fault or an unforgiven loss.
+    /// Prints how it went, and says it by the exit code too, whatever has become of the reader.
     pub fn conclude(&self, outcome: &Outcome) -> Result<ExitCode> {
-        let end = outcome.run.map(|run| run.end);
-        let seconds = outcome.run.map(|run| run.end_us.saturating_sub(run.start_us) as f64 * 1e-6);
+        let told = say(&if self.json { self.as_json(outcome) } else { self.as_text(outcome) });
+        let exit = match self.verdict(outcome) {
+            (Exit::Done, _) => told.map(|()| Exit::Done).context("standard output")?,
+            (exit, reason) => {
+                if !reason.is_empty() {
+                    eprintln!("error: {reason}");
+                }
+                exit
+            }
+        };
+        Ok(exit.into())
+    }
+
+    /// The worst that happened, and how to tell it.
+    fn verdict(&self, outcome: &Outcome) -> (Exit, String) {
         let tally = outcome.tally;
-        if self.json {
-            let fault = match end {
-                Some(RunEnd::Fault(fault)) => Some(format!("{fault:?}")),
-                _ => None,
-            };
-            println!(
-                "{}",
-                serde_json::json!({
-                    "interrupted": outcome.interrupted, "fault": fault, "run_s": seconds, "link": tally,
-                    "recorded_frames": outcome.recorded, "recording": self.out,
-                })
-            );
-        } else {
-            println!(
-                "frames: {} received, {} lost, {} bad; longest gap {} frames; {} restarts, {} reconnects",
-                tally.received, tally.lost, tally.bad, tally.longest_gap, tally.restarts, tally.reconnects
-            );
-            if let Some(path) = &self.out {
-                println!("recorded {} frames in {}", outcome.recorded, path.display());
-            }
-        }
-        match end {
+        match outcome.run.map(|run| run.end) {
             Some(RunEnd::Fault(fault)) => {
-                Err(anyhow!("the motor was stopped by {fault:?}: {fault}; `twum stop` clears it"))
+                (Exit::Fault, format!("the motor was stopped by {fault:?}: {fault}; `twum stop` clears it"))
             }
+            Some(RunEnd::Stopped) if !outcome.interrupted => {
+                (Exit::CutShort, "the run was stopped by somebody else before its time".to_owned())
+            }
+            _ if tally.restarts > 0 => (
+                Exit::CutShort,
+                format!(
+                    "the board restarted {} times; the recording marks where, and has what came after",
+                    tally.restarts
+                ),
+            ),
             _ if !tally.is_lossless() && !self.allow_loss => {
-                eprintln!("error: frames were lost; the recording marks where (--allow-loss to accept)");
-                Ok(ExitCode::from(1))
+                (Exit::No, "frames were lost; the recording marks where (--allow-loss to accept)".to_owned())
             }
-            _ if outcome.interrupted => Ok(ExitCode::from(130)),
-            _ => Ok(ExitCode::SUCCESS),
+            _ if outcome.interrupted => (Exit::Interrupted, String::new()),
+            _ => (Exit::Done, String::new()),
         }
+    }
+
+    fn as_json(&self, outcome: &Outcome) -> String {
+        let fault = match outcome.run.map(|run| run.end) {
+            Some(RunEnd::Fault(fault)) => Some(format!("{fault:?}")),
+            _ => None,
+        };
+        let seconds = outcome.run.map(|run| run.end_us.saturating_sub(run.start_us) as f64 * 1e-6);
+        let json = serde_json::json!({
+            "interrupted": outcome.interrupted, "fault": fault, "run_s": seconds, "link": outcome.tally,
+            "recorded_frames": outcome.recorded, "recording": self.out,
+        });
+        json.to_string()
+    }
+
+    fn as_text(&self, outcome: &Outcome) -> String {
+        let tally = outcome.tally;
+        let mut text = format!(
+            "frames: {} received, {} lost, {} bad; longest gap {} frames; {} restarts, {} reconnects",
+            tally.received, tally.lost, tally.bad, tally.longest_gap, tally.restarts, tally.reconnects
+        );
+        if tally.duplicates > 0 {
+            text += &format!("; {} came again and were dropped", tally.duplicates);
+        }
+        if let Some(path) = &self.out {
+            text += &format!("\nrecorded {} frames in {}", outcome.recorded, path.display());
+        }
+        text
     }
 }
 

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::diagnose::cache::{self, Kept};
 use twum_host::diagnose::{Details, Options, answer, diagnose, motor, report};
+use twum_host::input::printable;
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::output;
@@ -75,9 +76,17 @@ pub fn runs_of(folder: &Path) -> Result<(Measurement, Vec<String>)> {
 
 /// The motor that is `given`, or that the measurement names; none for an ordinary one, which has no motor file.
 pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option<Motor>> {
+    if let (None, Some(text)) = (given, measurement.motor_text()) {
+        return Ok(Some(Motor::parse("of the recording", text)?));
+    }
     Ok(match (given, measurement.motor_file()) {
         (Some("inertial"), _) => None,
         (Some(name), _) => Some(Motor::load(name)?),
+        (None, Some(_)) if measurement.folder.is_file() => bail!(
+            "{}: names the motor file `{}` without its content, as recordings did before: give --motor FILE",
+            measurement.folder.display(),
+            printable(&measurement.motor)
+        ),
         (None, Some(path)) => Some(Motor::load(&path.to_string_lossy())?),
         (None, None) if measurement.motor == "inertial" => None,
         (None, None) => Some(Motor::shipped(&measurement.motor)?),

@@ -135,6 +135,7 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
         eprintln!("nothing is open that another run would decide");
         return Ok(ExitCode::SUCCESS);
     }
+    let motor = args.configuration.motor()?;
     if args.out.exists() {
         bail!("{} exists already: name a new folder", args.out.display());
     }
@@ -162,7 +163,7 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
                 duration_ms: duration_ms(planned.seconds)?,
             }),
             recording: Some(path.clone()),
-            motor: args.configuration.motor.clone(),
+            motor: motor.clone(),
         };
         let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
         if outcome.interrupted {

@@ -4,6 +4,7 @@ use super::existing::ExistingArgs;
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::model::motor::Motor;
 use twum_host::record::export::{EncoderSource, to_measurement, write_csv, write_mcap};
 use twum_host::record::recording::Recording;
 
@@ -28,6 +29,9 @@ pub struct Args {
     /// Encoder data of open-loop runs in a measurement folder, where both were captured
     #[arg(long, value_enum, default_value = "edges")]
     encoder: Encoder,
+    /// Motor of a measurement folder, instead of the one the recording holds
+    #[arg(long, value_name = "NAME|FILE")]
+    motor: Option<String>,
     #[command(flatten)]
     existing: ExistingArgs,
 }
@@ -47,7 +51,11 @@ enum Encoder {
 
 /// Runs `twum export`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    let recording = Recording::load(&args.recording)?;
+    let motor = args.motor.as_deref().map(Motor::kept).transpose()?;
+    let mut recording = Recording::load(&args.recording)?;
+    if let Some(motor) = motor {
+        recording.metadata.motor = motor;
+    }
     for line in recording.losses() {
         eprintln!("warning: {}: {line}", args.recording.display());
     }

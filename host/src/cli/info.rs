@@ -3,6 +3,7 @@
 use super::connect::ConnectArgs;
 use anyhow::Result;
 use std::process::ExitCode;
+use twum_host::input::printable;
 use twum_shared::frame::PROTOCOL_VERSION;
 
 /// Arguments of `twum info`.
@@ -21,8 +22,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     let identity = args.connect.session()?.hello()?;
     let rows = [
         ("protocol", PROTOCOL_VERSION.to_string()),
-        ("firmware", identity.firmware.to_string()),
-        ("chip", identity.chip.to_string()),
+        ("firmware", printable(&identity.firmware)),
+        ("chip", printable(&identity.chip)),
         ("reset", format!("{:?}", identity.reset)),
         ("mode", format!("{:?}", identity.mode)),
         ("fault", identity.fault.map_or("none".to_owned(), |fault| format!("{fault:?}"))),

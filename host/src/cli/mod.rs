@@ -8,6 +8,7 @@ mod demo;
 mod diagnose;
 mod driver;
 mod existing;
+pub mod exit;
 mod experiment;
 mod export;
 mod identify;
@@ -33,7 +34,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about, after_help = existing::POLICY)]
+#[command(name = "twum", version, about, after_help = format!("{}\n\n{}", existing::POLICY, exit::TABLE))]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -136,6 +136,7 @@ fn conduct<P: Port>(
     }
     let started = session.port().elapsed();
     let mut follower = Follower { start_us: 0, ended: None };
+    let mut restarts = session.tally().restarts;
     let mut until =
         started + experiment.action.duration() + if experiment.action.moves() { GRACE } else { Duration::ZERO };
     loop {
@@ -146,6 +147,10 @@ fn conduct<P: Port>(
                     until = session.port().elapsed() + TAIL;
                 }
                 observe(&received);
+                if session.tally().restarts != restarts {
+                    restarts = session.tally().restarts;
+                    go_on_after_restart(session, experiment)?;
+                }
             }
             Ok(None) => break,
             Err(LinkError::Lost { port, reason }) => {
@@ -172,6 +177,21 @@ fn conduct<P: Port>(
             Err(LinkError::NoAnswer { waited_ms: (experiment.action.duration() + GRACE).as_millis() as u64 })
         }
         ended => Ok(ended),
+    }
+}
+
+/// A board that restarts has its streams off and its motor too. What only listens listens on, remarked in the recording;
+/// nothing that moves is begun again.
+fn go_on_after_restart<P: Port>(session: &mut Session<P>, experiment: &Experiment) -> Result<(), LinkError> {
+    match experiment.action {
+        Action::Watch(_) => {
+            session.remark("the board has restarted; its streams are switched on again")?;
+            session.capture(experiment.capture)
+        }
+        Action::Speed(_) | Action::Track(_) | Action::Driver(_) => {
+            session.remark("the board has restarted: the run is over")?;
+            Err(LinkError::Restarted)
+        }
     }
 }
 

@@ -89,6 +89,11 @@ pub enum LinkError {
         "the device speaks protocol version {0}, this program version {PROTOCOL_VERSION}: flash the firmware that belongs to it"
     )]
     Version(u8),
+    /// The board began anew in the midst of what it was doing.
+    #[error(
+        "the board has restarted: the run is over; its power, or a fault it tells by `twum info`, may be the cause"
+    )]
+    Restarted,
     /// A command was refused.
     #[error("{command} was refused: {reason}")]
     Refused {

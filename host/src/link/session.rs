@@ -1,4 +1,5 @@
 use super::{LinkError, Port};
+use crate::record::order::{Arrival, Order};
 use crate::record::store::{Sender, StoreError, Writer};
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,6 +32,8 @@ pub struct Tally {
     pub text: u64,
     /// Times the device started anew.
     pub restarts: u64,
+    /// Frames that came again and were dropped.
+    pub duplicates: u64,
     /// Times a lost port was opened again; what was sent meanwhile is lost and not in the count.
     pub reconnects: u64,
     /// Most frames lost in a row.
@@ -40,7 +43,7 @@ pub struct Tally {
 impl Tally {
     /// Whether anything is missing.
     pub fn is_lossless(&self) -> bool {
-        self.lost == 0 && self.bad == 0 && self.reconnects == 0
+        self.lost == 0 && self.bad == 0 && self.reconnects == 0 && self.restarts == 0
     }
 }
 
@@ -68,7 +71,7 @@ pub struct RunReport {
 pub struct Session<P> {
     port: P,
     sequence: u32,
-    expected: Option<u32>,
+    order: Order,
     bytes: Vec<u8>,
     block: Vec<u8>,
     inbox: VecDeque<Received>,
@@ -85,7 +88,7 @@ impl<P: Port> Session<P> {
         Self {
             port,
             sequence: 0,
-            expected: None,
+            order: Order::default(),
             bytes: Vec::new(),
             block: Vec::new(),
             inbox: VecDeque::new(),
@@ -157,7 +160,7 @@ impl<P: Port> Session<P> {
         self.port = port;
         self.bytes.clear();
         self.block.clear();
-        self.expected = None;
+        self.order.allow_gap();
         self.last_sent = Duration::ZERO;
         self.tally.reconnects += 1;
         self.remark("reconnected")
@@ -246,8 +249,9 @@ impl<P: Port> Session<P> {
         let is_text = block.iter().all(|byte| (0x20..0x7f).contains(byte) || b"\r\n\t\x1b".contains(byte));
         match frame::decode::<DeviceMessage>(&mut block) {
             Ok((header, message)) => {
-                self.count(header, &message);
-                self.inbox.push_back(Received { header, message });
+                if self.count(header, &message) {
+                    self.inbox.push_back(Received { header, message });
+                }
                 Ok(())
             }
             Err(FrameError::Version(version)) => Err(LinkError::Version(version)),
@@ -256,7 +260,7 @@ impl<P: Port> Session<P> {
                 Ok(())
             }
             // The first block of a stream that was opened midway is the rest of a frame.
-            Err(_) if self.expected.is_none() && self.tally.received == 0 => Ok(()),
+            Err(_) if !self.order.has_begun() => Ok(()),
             Err(_) => {
                 self.tally.bad += 1;
                 Ok(())
@@ -264,18 +268,22 @@ impl<P: Port> Session<P> {
         }
     }
 
-    fn count(&mut self, header: Header, message: &DeviceMessage) {
-        self.tally.received += 1;
-        let gap = self.expected.map_or(0, |expected| header.sequence.wrapping_sub(expected));
-        let restarted =
-            gap > u32::MAX / 2 || (matches!(message, DeviceMessage::Hello(_)) && header.sequence < 4 && gap != 0);
-        if restarted {
-            self.tally.restarts += 1;
-        } else {
-            self.tally.lost += u64::from(gap);
-            self.tally.longest_gap = self.tally.longest_gap.max(u64::from(gap));
+    /// Counts a frame; whether it is a new one.
+    fn count(&mut self, header: Header, message: &DeviceMessage) -> bool {
+        match self.order.take(header, matches!(message, DeviceMessage::Hello(_))) {
+            Arrival::Again => {
+                self.tally.duplicates += 1;
+                return false;
+            }
+            Arrival::First => {}
+            Arrival::Restart => self.tally.restarts += 1,
+            Arrival::Next { missing } => {
+                self.tally.lost += u64::from(missing);
+                self.tally.longest_gap = self.tally.longest_gap.max(missing.into());
+            }
         }
-        self.expected = Some(header.sequence.wrapping_add(1));
+        self.tally.received += 1;
+        true
     }
 
     /// Sends a command and waits for its answer; other messages stay in order for [`Session::next`]. A board that is busy,

@@ -8,6 +8,7 @@ pub mod live;
 pub mod live_server;
 pub mod load;
 pub mod measurement;
+pub mod order;
 pub mod plot;
 pub mod recording;
 pub mod store;

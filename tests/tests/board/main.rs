@@ -7,5 +7,6 @@ mod document;
 mod faults;
 mod link;
 mod recording;
+mod restart;
 mod runs;
 mod soak;

@@ -77,18 +77,15 @@ pub fn to_measurement(
     let configuration = recording.runs.iter().find_map(|run| run.configuration);
     let measurement = Measurement {
         name: name.to_owned(),
-        motor: motor_name(&recording.metadata.motor),
+        motor: match recording.metadata.motor.as_str() {
+            "" => "pcbmotor-30mm".to_owned(),
+            motor => motor.to_owned(),
+        },
         edges_per_rev: configuration.map_or(400, |configuration| configuration.edges_per_rev.into()),
         runs,
         folder: PathBuf::new(),
     };
     Ok((measurement, notes))
-}
-
-/// A shipped set's name stands as it is; the content of a motor file has no name of its own here.
-fn motor_name(motor: &str) -> String {
-    let is_name = !motor.is_empty() && !motor.contains(['\n', '/', '\\']) && !motor.ends_with(".toml");
-    if is_name { motor.to_owned() } else { "pcbmotor-30mm".to_owned() }
 }
 
 fn run_id(index: usize, run: &RecordedRun) -> String {

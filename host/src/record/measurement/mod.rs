@@ -38,7 +38,8 @@ pub const DEFAULT_PWM_HZ: f64 = 50.0;
 pub struct Measurement {
     /// Free name, for people.
     pub name: String,
-    /// A shipped parameter set's name, or a path to a parameter file relative to the folder (see [`Self::motor_file`]).
+    /// A shipped parameter set's name, or a path to a parameter file relative to the folder (see [`Self::motor_file`]); of a
+    /// recording, the content of that file (see [`Self::motor_text`]).
     pub motor: String,
     /// Encoder edges (both directions of change counted) a revolution.
     pub edges_per_rev: u32,
@@ -293,6 +294,11 @@ impl Measurement {
     /// or when writing fails.
     pub fn save(&self, folder: impl AsRef<Path>) -> Result<Self, MeasurementError> {
         write::save(self, folder.as_ref())
+    }
+
+    /// The content of a motor file, when [`Self::motor`] is that: a recording keeps the file, not its name.
+    pub fn motor_text(&self) -> Option<&str> {
+        self.motor.contains('\n').then_some(&*self.motor)
     }
 
     /// The motor parameter file, when [`Self::motor`] is a path; `None` when it is the name of a shipped set.

@@ -12,7 +12,15 @@ use toml::Spanned;
 pub(super) fn save(measurement: &Measurement, folder: &Path) -> Result<Measurement, MeasurementError> {
     let mut new = NewFolder::begin(folder)?;
     let mut taken: HashSet<String> = HashSet::from([MANIFEST.to_owned()]);
-    if let Some(source) = measurement.motor_file() {
+    let mut motor_name = measurement.motor.clone();
+    if let Some(text) = measurement.motor_text() {
+        "motor.toml".clone_into(&mut motor_name);
+        put(&mut new, &motor_name, |out| out.write_all(text.as_bytes()))?;
+        taken.insert(motor_name.clone());
+    } else if measurement.motor_file().is_some() && !measurement.folder.is_dir() {
+        let what = format!("the motor file `{}` is not at hand: give --motor NAME|FILE", measurement.motor);
+        return Err(MeasurementError::whole(folder, what));
+    } else if let Some(source) = measurement.motor_file() {
         manifest::inside(&measurement.folder, &measurement.motor)
             .map_err(|what| MeasurementError::whole(&source, format!("motor: {what}")))?;
         let motor = input::bytes(&source, input::WRITTEN).map_err(|reason| MeasurementError::io(&source, reason))?;
@@ -27,7 +35,7 @@ pub(super) fn save(measurement: &Measurement, folder: &Path) -> Result<Measureme
     }
     let manifest = Manifest {
         name: measurement.name.clone(),
-        motor: spanned(measurement.motor.clone()),
+        motor: spanned(motor_name),
         edges_per_rev: Some(spanned(measurement.edges_per_rev)),
         run: entries,
     };
