@@ -3,7 +3,7 @@
 use super::{LinkError, Port, Received, RunReport, Session, Tally};
 use crate::record::store::{Metadata, Writer};
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use twum_shared::message::{
     CaptureMode, Configuration, DeviceMessage, Identity, Mode, Refusal, RunEnd, SpeedRun, TrackRun,
 };
@@ -14,6 +14,8 @@ const TAIL: Duration = Duration::from_millis(500);
 const GRACE: Duration = Duration::from_secs(2);
 /// A lost port is tried again this often.
 const RETRY: Duration = Duration::from_millis(500);
+/// A lost port is waited for so long: time to plug a cable in again.
+pub const PORT_PATIENCE: Duration = Duration::from_secs(30);
 
 /// What the board is to do.
 #[derive(Clone, Debug)]
@@ -157,7 +159,7 @@ fn conduct<P: Port>(
                 let Some(reopen) = reopen.as_mut() else { return Err(LinkError::Lost { port, reason }) };
                 session.remark(&format!("lost {port}: {reason}"))?;
                 let left = until.saturating_sub(session.port().elapsed());
-                reconnect(session, *reopen, experiment.capture)?;
+                reconnect(session, *reopen, experiment.capture, LinkError::Lost { port, reason })?;
                 until = session.port().elapsed() + left;
             }
             Err(error) => return Err(error),
@@ -232,10 +234,15 @@ fn reconnect<P: Port>(
     session: &mut Session<P>,
     reopen: &mut dyn FnMut() -> Result<P, LinkError>,
     capture: CaptureMode,
+    lost: LinkError,
 ) -> Result<(), LinkError> {
+    let begun = Instant::now();
     loop {
         if session.is_interrupted() {
             return Err(LinkError::Interrupted);
+        }
+        if begun.elapsed() > PORT_PATIENCE {
+            return Err(lost);
         }
         if let Ok(port) = reopen() {
             session.reattach(port)?;

@@ -49,6 +49,20 @@ pub enum SetupError {
         /// Largest admissible value.
         upper: f64,
     },
+    /// The load turns the rotor.
+    #[error(
+        "`Tload = {load_nm}` is not below the {stall_nm:.6} N·m that the contact transmits: the rotor would slide ever \
+         faster, which the model does not describe"
+    )]
+    RunsAway {
+        /// The load, N·m.
+        load_nm: f64,
+        /// What the contact transmits, N·m.
+        stall_nm: f64,
+    },
+    /// The model left what it describes.
+    #[error("the model gives no finite speed for these parameters")]
+    NotFinite,
 }
 
 /// What a run at constant duty came to.
@@ -75,6 +89,10 @@ impl Setup {
     /// Names what is outside its bounds.
     pub fn check(&self) -> Result<(), SetupError> {
         self.parameters.check()?;
+        let (load_nm, stall_nm) = (self.parameters.load_nm, self.stall_torque_nm());
+        if load_nm != 0.0 && load_nm.abs() >= stall_nm {
+            return Err(SetupError::RunsAway { load_nm, stall_nm });
+        }
         let bounds =
             [("duty", self.duty, 0.0, 1.0), ("pwm-hz", self.pwm_hz, 0.1, 2e4), ("seconds", self.seconds, 1e-6, 1e5)];
         for (name, value, lower, upper) in bounds {
@@ -104,6 +122,9 @@ impl Setup {
         let from_rad = plant.position_rad();
         pwm.advance(&mut plant, self.seconds, &mut |_| ());
         let speed = (plant.position_rad() - from_rad) / (self.seconds - from_s);
+        if !speed.is_finite() {
+            return Err(SetupError::NotFinite);
+        }
         Ok(Speed {
             speed_rad_s: speed,
             speed_rpm: speed * 30.0 / PI,

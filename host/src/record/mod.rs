@@ -4,6 +4,7 @@ pub mod check;
 pub mod convert;
 pub mod decode;
 pub mod export;
+mod gate;
 pub mod live;
 pub mod live_server;
 pub mod load;

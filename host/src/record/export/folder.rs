@@ -1,6 +1,7 @@
 use super::ExportError;
 use crate::record::measurement::{
-    ControlGains, ControlRow, ControlSpec, Direction, LevelEdge, Measurement, Run, RunData, RunKind,
+    ControlGains, ControlRow, ControlSpec, Direction, LevelEdge, MAX_RECORD_S, MAX_TIME_US, Measurement, Run, RunData,
+    RunKind,
 };
 use crate::record::recording::{BitsSegment, Command, ControlSegment, EdgesSegment, RecordedRun, Recording, TimedEdge};
 use std::path::PathBuf;
@@ -68,13 +69,19 @@ pub fn to_measurement(
             if several {
                 id += &format!("-part{}", part + 1);
             }
-            runs.push(describe(Run::new(id, kind, data), index, run));
+            let described = describe(Run::new(id, kind, data), index, run);
+            let (start_us, end_us) = described.span_us();
+            if end_us - start_us > MAX_RECORD_S * 1e6 || end_us.abs() > MAX_TIME_US {
+                notes.push(format!("run {}: left out, its times span days: are they damaged?", index + 1));
+                continue;
+            }
+            runs.push(described);
         }
     }
     if runs.is_empty() {
         return Err(ExportError::NoRun);
     }
-    let configuration = recording.runs.iter().find_map(|run| run.configuration);
+    let configuration = recording.runs.iter().find_map(|run| run.configuration.filter(can_be));
     let measurement = Measurement {
         name: name.to_owned(),
         motor: match recording.metadata.motor.as_str() {
@@ -86,6 +93,11 @@ pub fn to_measurement(
         folder: PathBuf::new(),
     };
     Ok((measurement, notes))
+}
+
+/// Whether a board can have run so: a recording whose bytes are damaged may say anything.
+fn can_be(configuration: &Configuration) -> bool {
+    configuration.pwm_hz > 0 && configuration.edges_per_rev > 0 && configuration.control.period_us > 0
 }
 
 fn run_id(index: usize, run: &RecordedRun) -> String {
@@ -103,7 +115,7 @@ fn describe(mut run: Run, index: usize, recorded: &RecordedRun) -> Run {
         run.duty = Some(duty(speed.duty));
         run.direction = Some(direction(speed.direction));
     }
-    if let Some(configuration) = recorded.configuration {
+    if let Some(configuration) = recorded.configuration.filter(can_be) {
         run.pwm_hz = configuration.pwm_hz.into();
         run.control = (run.kind == RunKind::Track).then(|| control_spec(&configuration)).flatten();
     }

@@ -28,6 +28,8 @@ pub const MAX_LOADED_BYTES: usize = 1 << 30;
 pub const MAX_RUNS: usize = 10_000;
 /// Bound on the length of one record, in seconds: whoever resamples a record needs a bound on the result.
 pub const MAX_RECORD_S: f64 = 86_400.0;
+/// Largest absolute time of a sample, in µs: beyond it an f64 no longer resolves a fraction of a µs.
+pub const MAX_TIME_US: f64 = 1e15;
 /// Encoder edges a revolution of the 30 mm PCBMotor (thesis, A.7), assumed where nothing counts edges.
 pub const DEFAULT_EDGES_PER_REV: u32 = 400;
 /// PWM frequency of the driver board's hardware mode in Hz (thesis, C.1).

@@ -1,7 +1,8 @@
 //! Text files read line by line, with bounds, and errors that name line and column.
 
 use super::{
-    ControlRow, Direction, DriveResponse, Format, LevelEdge, MAX_LOADED_BYTES, MAX_RECORD_S, MeasurementError, RunData,
+    ControlRow, Direction, DriveResponse, Format, LevelEdge, MAX_LOADED_BYTES, MAX_RECORD_S, MAX_TIME_US,
+    MeasurementError, RunData,
 };
 use crate::input;
 use std::io::{BufRead, BufReader, Read};
@@ -9,8 +10,6 @@ use std::path::{Path, PathBuf};
 
 /// Longest line accepted, in bytes.
 const MAX_LINE: usize = 4096;
-/// Largest absolute time accepted, in µs: beyond it an f64 no longer resolves a fraction of a µs.
-const MAX_TIME_US: f64 = 1e15;
 
 /// What the files of one folder may still bring into memory.
 pub(super) struct Budget {

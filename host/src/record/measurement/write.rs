@@ -43,9 +43,11 @@ pub(super) fn save(measurement: &Measurement, folder: &Path) -> Result<Measureme
         .map_err(|error| MeasurementError::whole(&folder.join(MANIFEST), error.to_string()))?;
     // Last: a folder without it is none.
     put(&mut new, MANIFEST, |out| out.write_all(text.as_bytes()))?;
-    new.finish()?;
     // Reading back costs little and proves that what was written keeps every rule of the format.
-    Measurement::load(folder)
+    let mut saved = Measurement::load(new.path())?;
+    new.finish()?;
+    folder.clone_into(&mut saved.folder);
+    Ok(saved)
 }
 
 fn put(
