@@ -166,6 +166,7 @@ impl Common {
             seconds: self.seconds.unwrap_or(seconds),
         };
         setup.check()?;
+        setup.check_load()?;
         if let Some(path) = &self.plot {
             output::may_write(path, Existing::Keep)?;
         }
@@ -205,6 +206,7 @@ fn speed(common: &Common, duty: f64) -> Result<()> {
     let waiting = spinner();
     let speed = setup.speed()?;
     waiting.finish_and_clear();
+    finite(&[(duty, speed)])?;
     if common.json {
         print_json(&speed)?;
     } else {
@@ -224,6 +226,16 @@ fn speed(common: &Common, duty: f64) -> Result<()> {
     })
 }
 
+/// Refuses an answer that is no number.
+fn finite(speeds: &[(f64, Speed)]) -> Result<()> {
+    match speeds.iter().find(|(_, speed)| !speed.speed_rad_s.is_finite()) {
+        Some((at, _)) => {
+            bail!("the model gives no finite speed at {at}: these parameters are outside what it describes")
+        }
+        None => Ok(()),
+    }
+}
+
 #[derive(Serialize)]
 struct SweepPoint {
     duty: f64,
@@ -240,6 +252,7 @@ fn sweep(common: &Common, points: usize) -> Result<()> {
     let waiting = spinner();
     let speeds = setup.sweep(&duties)?;
     waiting.finish_and_clear();
+    finite(&speeds)?;
     if common.json {
         print_json(&speeds.iter().map(|&(duty, speed)| SweepPoint { duty, speed }).collect::<Vec<_>>())?;
     } else {
@@ -274,6 +287,7 @@ fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
     let waiting = spinner();
     let speeds = setup.under_loads(&loads)?;
     waiting.finish_and_clear();
+    finite(&speeds)?;
     if common.json {
         print_json(&speeds.iter().map(|&(load_nm, speed)| TorquePoint { load_nm, speed }).collect::<Vec<_>>())?;
     } else {
