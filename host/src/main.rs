@@ -3,9 +3,8 @@
 mod cli;
 
 use clap::Parser;
-use cli::exit::Exit;
 use std::any::Any;
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Write};
 use std::panic::{self, catch_unwind, resume_unwind};
 use std::process::ExitCode;
 
@@ -19,33 +18,34 @@ fn main() -> ExitCode {
     match catch_unwind(|| cli::Cli::parse().run()) {
         Ok(Ok(code)) => code,
         Ok(Err(error)) if error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == ErrorKind::BrokenPipe) => {
-            ExitCode::SUCCESS
+            cli::exit::decided()
         }
         Ok(Err(error)) => {
-            eprintln!("error: {error:#}");
-            Exit::of(&error).into()
+            // A terminal that is gone reads no message.
+            let _ = writeln!(std::io::stderr(), "error: {error:#}");
+            ExitCode::from(cli::exit::code_of(&error))
         }
-        Err(payload) if is_closed_stdout(payload.as_ref()) => ExitCode::SUCCESS,
+        Err(payload) if is_closed_stdout(payload.as_ref()) => cli::exit::decided(),
         Err(payload) if failed_stdout(payload.as_ref()).is_some() => {
-            eprintln!("error: {}", failed_stdout(payload.as_ref()).unwrap_or_default());
-            Exit::Failed.into()
+            let _ = writeln!(std::io::stderr(), "error: {}", failed_stdout(payload.as_ref()).unwrap_or_default());
+            cli::exit::decided_or_failed()
         }
         Err(payload) => resume_unwind(payload),
     }
 }
+
+/// A pipe without a reader, and a terminal whose window was closed.
+const CLOSED: [&str; 2] = ["os error 32", "os error 5"];
 
 /// Whether a panic is `println!` finding its reader gone (`twum ... | head`): no failure of the command.
 ///
 /// It has to stay a panic. The signal that other programs die by here would leave a motor turning or a generator's
 /// outputs on; unwinding switches them off.
 fn is_closed_stdout(payload: &(dyn Any + Send)) -> bool {
-    failed_stdout(payload).is_some_and(|message| message.contains("os error 32"))
+    failed_stdout(payload).is_some_and(|message| CLOSED.iter().any(|code| message.contains(code)))
 }
 
-/// The message of a panic that is `println!` finding that standard output takes no more, such as on a full disk.
+/// The message of a panic that is `println!` finding that its output takes no more, such as on a full disk.
 fn failed_stdout(payload: &(dyn Any + Send)) -> Option<&str> {
-    payload
-        .downcast_ref::<String>()
-        .map(String::as_str)
-        .filter(|message| message.starts_with("failed printing to stdout"))
+    payload.downcast_ref::<String>().map(String::as_str).filter(|message| message.starts_with("failed printing to std"))
 }

@@ -1,12 +1,27 @@
-//! An independent source of measurement folders in which effects are hidden.
+//! Independent sources of measurement folders in which effects are hidden.
 //!
 //! Nothing here is shared with the motor model of the host: the equations, the solver and the forms of the effects are
-//! this crate's own, so a diagnosis that names an effect found here did not look into a mirror.
+//! this crate's own, so a diagnosis that names an effect found here did not look into a mirror. There are three, written
+//! apart from one another:
+//!
+//! - `carrier` to `tracking` below: one motor, checked at carrier resolution, one design (see [`experiment`]);
+//! - [`rotor`]: any motor of the kind, its rotor equation integrated within each PWM period;
+//! - [`profile`]: no rotor equation, but how speed rises and falls in a period, as smooth random curves.
+//!
+//! The last two write [`folder`]s with a [`truth`] beside each, and share with one another that format and the
+//! definition of an effect's [`strength`], no more.
 
 pub mod carrier;
 pub mod experiment;
+pub mod first;
+pub mod folder;
 pub mod hidden;
 pub mod motor;
 pub mod noise;
+pub mod profile;
+pub mod rotor;
 pub mod solver;
+pub mod strength;
+pub mod suite;
 pub mod tracking;
+pub mod truth;

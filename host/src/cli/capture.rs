@@ -12,7 +12,7 @@ use twum_shared::message::CaptureMode;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Records what the board streams, without moving the motor. Ctrl-C ends it cleanly; an unplugged cable is \
-                        waited for, 30 s at most.\n\nExamples:\n  twum capture --port /dev/ttyUSB0 --out hand-turned.mcap --seconds 30"
+                        waited for.\n\nExamples:\n  twum capture --port /dev/ttyUSB0 --out hand-turned.mcap --seconds 30"
 )]
 pub struct Args {
     #[command(flatten)]

@@ -1,12 +1,13 @@
 //! Arguments every command that talks to a board shares.
 
-use super::exit::Exit;
-use super::output::say;
-use anyhow::{Context, Result, bail};
+use super::exit;
+use super::signals::on_signal;
+use anyhow::{Result, bail};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 use twum_host::link::bench::{Experiment, Outcome, perform};
-use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink};
+use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink, is_motor_held};
 use twum_host::model::motor::Motor;
 use twum_host::record::measurement::ControlSpec;
 use twum_host::sim::Setup;
@@ -23,17 +24,22 @@ pub struct ConnectArgs {
     reset: bool,
 }
 
-/// Set by Ctrl-C; a second Ctrl-C ends the program at once.
+/// Set by Ctrl-C, a termination or a closed window; a second one ends the program at once, unless the motor is still being
+/// stopped.
 pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// The motor is stopped within this time of the first signal, or cannot be.
+const STOPPING: Duration = Duration::from_secs(5);
 
 /// Makes Ctrl-C set [`INTERRUPTED`].
 pub fn catch_interrupts() -> Result<()> {
-    ctrlc::set_handler(|| {
-        if INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+    let mut first = None;
+    on_signal(move || {
+        let since = first.get_or_insert_with(Instant::now).elapsed();
+        if INTERRUPTED.swap(true, Ordering::Relaxed) && (!is_motor_held() || since > STOPPING) {
+            std::process::exit(exit::INTERRUPTED.into());
         }
     })
-    .context("cannot catch Ctrl-C")
 }
 
 impl ConnectArgs {
@@ -78,18 +84,16 @@ pub struct ConfigurationArgs {
 }
 
 impl ConfigurationArgs {
+    /// What the recording keeps of the motor.
+    pub fn motor(&self) -> Result<String> {
+        Ok(Motor::kept(&self.motor)?)
+    }
+
     /// The configuration the device gets.
     pub fn configuration(&self) -> Result<Configuration> {
         let control = ControlSpec::named(&self.control)?.config()?;
         let (edges_per_rev, pwm_hz) = (self.edges_per_rev, self.pwm_hz);
         Ok(Configuration { edges_per_rev, pwm_hz, ..Configuration::with_control(control) })
-    }
-}
-
-impl ConfigurationArgs {
-    /// What the recording keeps of the motor.
-    pub fn motor(&self) -> Result<String> {
-        Ok(Motor::kept(&self.motor)?)
     }
 }
 
@@ -108,72 +112,49 @@ pub struct RecordArgs {
 }
 
 impl RecordArgs {
-    /// Prints how it went, and says it by the exit code too, whatever has become of the reader.
-    pub fn conclude(&self, outcome: &Outcome) -> Result<ExitCode> {
-        let told = say(&if self.json { self.as_json(outcome) } else { self.as_text(outcome) });
-        let exit = match self.verdict(outcome) {
-            (Exit::Done, _) => told.map(|()| Exit::Done).context("standard output")?,
-            (exit, reason) => {
-                if !reason.is_empty() {
-                    eprintln!("error: {reason}");
-                }
-                exit
-            }
-        };
-        Ok(exit.into())
-    }
-
-    /// The worst that happened, and how to tell it.
-    fn verdict(&self, outcome: &Outcome) -> (Exit, String) {
-        let tally = outcome.tally;
+    /// The exit code: of a fault, of somebody else's stop, of an interruption, of an unforgiven loss.
+    fn verdict(&self, outcome: &Outcome) -> Result<u8> {
         match outcome.run.map(|run| run.end) {
-            Some(RunEnd::Fault(fault)) => {
-                (Exit::Fault, format!("the motor was stopped by {fault:?}: {fault}; `twum stop` clears it"))
-            }
-            Some(RunEnd::Stopped) if !outcome.interrupted => {
-                (Exit::CutShort, "the run was stopped by somebody else before its time".to_owned())
-            }
-            _ if tally.restarts > 0 => (
-                Exit::CutShort,
-                format!(
-                    "the board restarted {} times; the recording marks where, and has what came after",
-                    tally.restarts
-                ),
-            ),
-            _ if !tally.is_lossless() && !self.allow_loss => {
-                (Exit::No, "frames were lost; the recording marks where (--allow-loss to accept)".to_owned())
-            }
-            _ if outcome.interrupted => (Exit::Interrupted, String::new()),
-            _ => (Exit::Done, String::new()),
+            Some(RunEnd::Fault(fault)) => Err(LinkError::Fault(fault).into()),
+            _ if outcome.interrupted => Ok(exit::INTERRUPTED),
+            Some(RunEnd::Stopped) => Err(LinkError::StoppedByOther.into()),
+            _ if outcome.tally.restarts > 0 => Err(LinkError::Restarted.into()),
+            _ => Ok(u8::from(!outcome.tally.is_lossless() && !self.allow_loss)),
         }
     }
 
-    fn as_json(&self, outcome: &Outcome) -> String {
-        let fault = match outcome.run.map(|run| run.end) {
-            Some(RunEnd::Fault(fault)) => Some(format!("{fault:?}")),
-            _ => None,
-        };
+    /// Prints how it went.
+    pub fn conclude(&self, outcome: &Outcome) -> Result<ExitCode> {
+        let verdict = self.verdict(outcome);
+        exit::decide(&verdict);
+        let end = outcome.run.map(|run| run.end);
         let seconds = outcome.run.map(|run| run.end_us.saturating_sub(run.start_us) as f64 * 1e-6);
-        let json = serde_json::json!({
-            "interrupted": outcome.interrupted, "fault": fault, "run_s": seconds, "link": outcome.tally,
-            "recorded_frames": outcome.recorded, "recording": self.out,
-        });
-        json.to_string()
-    }
-
-    fn as_text(&self, outcome: &Outcome) -> String {
         let tally = outcome.tally;
-        let mut text = format!(
-            "frames: {} received, {} lost, {} bad; longest gap {} frames; {} restarts, {} reconnects",
-            tally.received, tally.lost, tally.bad, tally.longest_gap, tally.restarts, tally.reconnects
-        );
-        if tally.duplicates > 0 {
-            text += &format!("; {} came again and were dropped", tally.duplicates);
+        if self.json {
+            let fault = match end {
+                Some(RunEnd::Fault(fault)) => Some(format!("{fault:?}")),
+                _ => None,
+            };
+            println!(
+                "{}",
+                serde_json::json!({
+                    "interrupted": outcome.interrupted, "fault": fault, "run_s": seconds, "link": tally,
+                    "recorded_frames": outcome.recorded, "recording": self.out,
+                })
+            );
+        } else {
+            println!(
+                "frames: {} received, {} lost, {} bad; longest gap {} frames; {} restarts, {} reconnects",
+                tally.received, tally.lost, tally.bad, tally.longest_gap, tally.restarts, tally.reconnects
+            );
+            if let Some(path) = &self.out {
+                println!("recorded {} frames in {}", outcome.recorded, path.display());
+            }
         }
-        if let Some(path) = &self.out {
-            text += &format!("\nrecorded {} frames in {}", outcome.recorded, path.display());
+        if matches!(verdict, Ok(1)) {
+            eprintln!("error: frames were lost; the recording marks where (--allow-loss to accept)");
         }
-        text
+        verdict.map(ExitCode::from)
     }
 }
 

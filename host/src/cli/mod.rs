@@ -22,6 +22,7 @@ mod output;
 mod plot;
 mod ports;
 mod replay;
+mod signals;
 mod sim;
 mod speed;
 mod stop;
@@ -34,7 +35,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about, after_help = format!("{}\n\n{}", existing::POLICY, exit::TABLE))]
+#[command(name = "twum", version, about, after_help = format!("{}\n\n{}", existing::POLICY, exit::HELP))]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -1,7 +1,6 @@
 //! How commands talk to people: tables on stdout, progress on stderr.
 
 use indicatif::ProgressBar;
-use std::io::{ErrorKind, Write};
 use std::time::Duration;
 
 /// Prints rows under a header, columns aligned.
@@ -19,15 +18,6 @@ pub fn print_table<H: AsRef<str>>(header: &[H], rows: &[Vec<String>]) {
     line(header.iter().map(AsRef::as_ref).collect());
     for row in rows {
         line(row.iter().map(String::as_str).collect());
-    }
-}
-
-/// Prints a line that a closed reader (`| head`) need not read; what a command says by its exit code does not hang on it.
-pub fn say(line: &str) -> std::io::Result<()> {
-    let mut out = std::io::stdout().lock();
-    match writeln!(out, "{line}").and_then(|()| out.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error),
-        _ => Ok(()),
     }
 }
 

@@ -169,8 +169,8 @@ impl Replay {
         match message {
             // What is switched on counts from 0 again.
             HostMessage::Capture(mode) => self.streams_control = mode.control,
-            HostMessage::Track(_) => self.tracks = true,
-            HostMessage::Speed(_) => self.tracks = false,
+            HostMessage::Track { .. } => self.tracks = true,
+            HostMessage::Speed { .. } => self.tracks = false,
             _ => {}
         }
     }
@@ -352,7 +352,8 @@ mod tests {
         replay.observe(&DeviceMessage::Configured(Configuration::with_control(ConfigSpec::THESIS)));
         replay.commanded(&HostMessage::Capture(CaptureMode { bits: false, edges: false, control: true }));
         let reference = Reference::Step { position: 1, at_us: 0 };
-        replay.commanded(&HostMessage::Track(TrackRun { reference, duration_ms: 24 }));
+        let run = TrackRun { reference, duration_ms: 24 };
+        replay.commanded(&HostMessage::Track { pass: Default::default(), run });
         replay.observe(&DeviceMessage::RunStarted { start_us: 0 });
         let blocks = blocks();
         for index in kept {

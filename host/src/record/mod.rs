@@ -11,6 +11,7 @@ pub mod load;
 pub mod measurement;
 pub mod order;
 pub mod plot;
+mod protocol_1;
 pub mod recording;
 pub mod store;
 

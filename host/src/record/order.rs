@@ -27,15 +27,9 @@ pub enum Arrival {
 #[derive(Debug, Clone, Default)]
 pub struct Order {
     recent: VecDeque<Header>,
-    gap_allowed: bool,
 }
 
 impl Order {
-    /// The next frame may come after any gap: the line was opened again.
-    pub fn allow_gap(&mut self) {
-        self.gap_allowed = true;
-    }
-
     /// Whether a frame was heard.
     pub fn has_begun(&self) -> bool {
         !self.recent.is_empty()
@@ -60,8 +54,7 @@ impl Order {
             return Arrival::Restart;
         }
         self.remember(header);
-        let missing = if std::mem::take(&mut self.gap_allowed) { 0 } else { ahead.saturating_sub(1) };
-        Arrival::Next { missing }
+        Arrival::Next { missing: ahead.saturating_sub(1) }
     }
 
     fn remember(&mut self, header: Header) {
@@ -105,16 +98,5 @@ mod tests {
         order.take(at(1, 200), false);
         assert_eq!(order.take(at(0, 100), true), Arrival::Restart);
         assert_eq!(order.take(at(0, 100), true), Arrival::Again);
-    }
-
-    #[test]
-    fn a_gap_that_is_allowed_is_no_loss_and_only_once() {
-        let mut order = Order::default();
-        order.take(Header { sequence: 1, time_us: 1 }, false);
-        order.allow_gap();
-        let after =
-            |order: &mut Order, sequence| order.take(Header { sequence, time_us: 1000 + u64::from(sequence) }, false);
-        assert_eq!(after(&mut order, 90), Arrival::Next { missing: 0 });
-        assert_eq!(after(&mut order, 93), Arrival::Next { missing: 2 });
     }
 }

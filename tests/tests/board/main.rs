@@ -3,10 +3,14 @@
 mod bench;
 mod chaos;
 mod closed_loop;
+mod dead_encoder;
 mod document;
 mod faults;
+mod holding;
 mod link;
 mod recording;
 mod restart;
 mod runs;
+mod saturated_link;
 mod soak;
+mod text_mode;

@@ -28,7 +28,7 @@ impl Port for Line {
     fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
         if self.link.elapsed() >= self.restart_at {
             self.restart_at = Duration::MAX;
-            self.link.board().disturb(Disturbance::Reset(ResetCause::Brownout));
+            self.link.board().disturb(Disturbance::Reset(ResetCause::BrownOut));
         }
         let before = into.len();
         self.link.receive(into, wait)?;
