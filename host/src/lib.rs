@@ -10,6 +10,7 @@ pub mod instruments;
 pub mod link;
 pub mod model;
 pub mod neck;
+pub mod output;
 pub mod record;
 pub mod report;
 pub mod signal;

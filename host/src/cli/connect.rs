@@ -12,6 +12,7 @@ use twum_host::input;
 use twum_host::link::bench::{Experiment, Outcome, perform};
 use twum_host::link::relay;
 use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink, is_motor_held};
+use twum_host::model::motor::Motor;
 use twum_host::record::measurement::ControlSpec;
 use twum_host::sim::Setup;
 use twum_shared::encoder::CountSign;
@@ -172,9 +173,9 @@ pub struct ConfigurationArgs {
     /// Which way the count moves while the direction pin is high [default: the board's]
     #[arg(long, value_enum)]
     count_sign: Option<Sign>,
-    /// Motor parameter set, kept in the recording
-    #[arg(long, default_value = "pcbmotor-30mm")]
-    pub motor: String,
+    /// Motor on the bench, a shipped one or a motor file: its content is kept in the recording
+    #[arg(long, value_name = "NAME|FILE", default_value = "pcbmotor-30mm")]
+    motor: String,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -184,6 +185,11 @@ enum Sign {
 }
 
 impl ConfigurationArgs {
+    /// What the recording keeps of the motor.
+    pub fn motor(&self) -> Result<String> {
+        Ok(Motor::kept(&self.motor)?)
+    }
+
     /// `base` with what was given.
     pub fn over(&self, base: Configuration) -> Result<Configuration> {
         let mut configuration = base;
@@ -247,6 +253,7 @@ impl RecordArgs {
             Some(RunEnd::Fault(fault)) => Err(LinkError::Fault(fault).into()),
             _ if outcome.interrupted => Ok(exit::INTERRUPTED),
             Some(RunEnd::Stopped) => Err(LinkError::StoppedByOther.into()),
+            _ if outcome.tally.restarts > 0 => Err(LinkError::Restarted.into()),
             _ => Ok(u8::from(!outcome.tally.is_lossless() && !self.allow_loss)),
         }
     }

@@ -4,6 +4,7 @@ use super::connect::{ALL_STREAMS, ConnectArgs, RecordArgs};
 use anyhow::{Context, Result};
 use std::io::Write;
 use std::process::ExitCode;
+use twum_host::input::printable;
 use twum_host::link::bench::{Action, Experiment};
 use twum_shared::message::DeviceMessage;
 
@@ -38,8 +39,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
     };
     let outcome = args.connect.perform(&experiment, |received| {
         if let DeviceMessage::DriverReply(bytes) = &received.message {
+            let reply = String::from_utf8_lossy(bytes);
+            let lines: Vec<String> = reply.split('\n').map(|line| printable(line.trim_end_matches('\r'))).collect();
             // A closed stdout ends the printing, not the capture.
-            let _ = std::io::stdout().write_all(bytes);
+            let _ = std::io::stdout().write_all(lines.join("\n").as_bytes());
         }
     })?;
     args.record.conclude(&outcome)

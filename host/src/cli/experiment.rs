@@ -151,6 +151,7 @@ fn make(
         eprintln!("nothing is open that another run would decide");
         return Ok(ExitCode::SUCCESS);
     }
+    let motor = args.configuration.motor()?;
     if args.out.exists() {
         bail!("{} exists already: name a new folder", args.out.display());
     }
@@ -180,7 +181,7 @@ fn make(
                 duration_ms: duration_ms(planned.seconds)?,
             }),
             recording: Some(path.clone()),
-            motor: args.configuration.motor.clone(),
+            motor: motor.clone(),
         };
         let outcome = perform(session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
         if let Some(error) = outcome.cut() {

@@ -3,6 +3,7 @@
 use super::connect::{ConnectArgs, Reached};
 use anyhow::Result;
 use std::process::ExitCode;
+use twum_host::input::printable;
 use twum_host::link::relay;
 use twum_shared::frame::PROTOCOL_VERSION;
 
@@ -25,8 +26,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     };
     let rows = [
         ("protocol", PROTOCOL_VERSION.to_string()),
-        ("firmware", identity.firmware.to_string()),
-        ("chip", identity.chip.to_string()),
+        ("firmware", printable(&identity.firmware)),
+        ("chip", printable(&identity.chip)),
         ("reset", format!("{:?}", identity.reset)),
         ("mode", format!("{:?}", identity.mode)),
         ("fault", identity.fault.map_or("none".to_owned(), |fault| format!("{fault:?}"))),

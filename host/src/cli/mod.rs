@@ -8,6 +8,7 @@ mod connect;
 mod demo;
 mod diagnose;
 mod driver;
+mod existing;
 pub mod exit;
 mod experiment;
 mod export;
@@ -37,7 +38,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about, after_help = exit::HELP)]
+#[command(name = "twum", version, about, after_help = format!("{}\n\n{}", existing::POLICY, exit::HELP))]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -51,7 +51,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         capture: ALL_STREAMS,
         action: Action::Speed(SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? }),
         recording: args.record.out.clone(),
-        motor: args.configuration.motor.clone(),
+        motor: args.configuration.motor()?,
     };
     let spinner = spinner();
     spinner.set_message("running");

@@ -91,7 +91,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         capture: ALL_STREAMS,
         action: Action::Track(TrackRun { reference, duration_ms: duration_ms(args.seconds)? }),
         recording: args.record.out.clone(),
-        motor: args.configuration.motor.clone(),
+        motor: args.configuration.motor()?,
     };
     let spinner = spinner();
     spinner.set_message("tracking");

@@ -10,6 +10,7 @@ mod faults;
 mod holding;
 mod link;
 mod recording;
+mod restart;
 mod runs;
 mod saturated_link;
 mod silicon;
