@@ -1,5 +1,6 @@
 //! `twum diagnose`.
 
+use super::existing::ExistingArgs;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
@@ -7,8 +8,10 @@ use std::process::ExitCode;
 use twum_host::diagnose::cache::{self, Kept};
 use twum_host::diagnose::library::known_effects;
 use twum_host::diagnose::{Details, Options, answer, diagnose, motor, report};
+use twum_host::input::printable;
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
+use twum_host::output;
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::Measurement;
 
@@ -32,6 +35,8 @@ pub struct Args {
     /// Write the refitted motor with the effects found as a motor file
     #[arg(long, value_name = "EXTENDED.toml")]
     save_model: Option<PathBuf>,
+    #[command(flatten)]
+    existing: ExistingArgs,
     /// Simulation to start from
     #[arg(long, value_enum, default_value = "physical")]
     flavour: FlavourArg,
@@ -75,9 +80,17 @@ pub fn runs_of(folder: &Path) -> Result<(Measurement, Vec<String>)> {
 
 /// The motor that is `given`, or that the measurement names; none for an ordinary one, which has no motor file.
 pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option<Motor>> {
+    if let (None, Some(text)) = (given, measurement.motor_text()) {
+        return Ok(Some(Motor::parse("of the recording", text)?));
+    }
     Ok(match (given, measurement.motor_file()) {
         (Some("inertial"), _) => None,
         (Some(name), _) => Some(Motor::load(name)?),
+        (None, Some(_)) if measurement.folder.is_file() => bail!(
+            "{}: names the motor file `{}` without its content, as recordings did before: give --motor FILE",
+            measurement.folder.display(),
+            printable(&measurement.motor)
+        ),
         (None, Some(path)) => Some(Motor::load(&path.to_string_lossy())?),
         (None, None) if measurement.motor == "inertial" => None,
         (None, None) => Some(Motor::shipped(&measurement.motor)?),
@@ -86,6 +99,9 @@ pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option
 
 /// Runs `twum diagnose`.
 pub fn run(args: Args) -> Result<ExitCode> {
+    for path in args.save_model.iter().chain(&args.report) {
+        output::may_write(path, args.existing.into())?;
+    }
     let mut measurements = Vec::new();
     let mut lost = Vec::new();
     for folder in &args.folders {
@@ -127,7 +143,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     if let Some(path) = &args.report {
         let title: Vec<&str> = measurements.iter().map(|m| m.name.as_str()).collect();
         let page = report::page(&title.join(", "), &diagnosis, details.as_ref()).context("drawing the report")?;
-        page.write(path).with_context(|| format!("writing {}", path.display()))?;
+        page.write(path)?;
         eprintln!("wrote {}", path.display());
     }
     let kept = Kept { json: serde_json::to_string_pretty(&diagnosis)? + "\n", text: answer::text(&diagnosis) };
@@ -140,7 +156,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
             bail!("--save-model needs a run of a TWUM that could be used, and a motor file");
         };
         let text = motor::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?;
-        std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
+        output::write(path, text, args.existing.into())?;
         eprintln!("wrote {}", path.display());
     }
     Ok(ExitCode::SUCCESS)

@@ -1,6 +1,6 @@
 //! `twum experiment`.
 
-use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms};
+use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms, own_configuration, restore};
 use super::diagnose::{motor_of, runs_of};
 use super::exit;
 use anyhow::{Context, Result, bail};
@@ -12,11 +12,12 @@ use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Options, diagnose};
 use twum_host::link::LinkError;
 use twum_host::link::bench::{Action, Experiment, perform};
+use twum_host::link::{Port, Session};
 use twum_host::model::parameters::Flavour;
 use twum_host::record::export::{EncoderSource, to_measurement};
 use twum_host::record::measurement::Measurement;
 use twum_host::record::recording::Recording;
-use twum_shared::message::SpeedRun;
+use twum_shared::message::{Configuration, SpeedRun};
 use twum_shared::{Direction, Duty};
 
 /// Arguments of `twum experiment`.
@@ -83,7 +84,14 @@ struct RunArgs {
 pub fn run(args: Args) -> Result<ExitCode> {
     match args.what {
         What::Plan(args) => plan(&args),
-        What::Run(args) => make(&args),
+        What::Run(args) => {
+            let mut session = args.connect.session()?;
+            let own = own_configuration(&mut session)?;
+            let mut used = own;
+            let result = make(&args, &mut session, own, &mut used);
+            restore(&mut session, own, used);
+            result
+        }
     }
 }
 
@@ -131,12 +139,19 @@ fn plan(args: &PlanArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn make(args: &RunArgs) -> Result<ExitCode> {
+/// Makes the runs, on a board whose own configuration is `own`; `used` is what it was given last.
+fn make(
+    args: &RunArgs,
+    session: &mut Session<Box<dyn Port>>,
+    own: Configuration,
+    used: &mut Configuration,
+) -> Result<ExitCode> {
     let runs = planned(&args.wanted)?;
     if runs.is_empty() {
         eprintln!("nothing is open that another run would decide");
         return Ok(ExitCode::SUCCESS);
     }
+    let motor = args.configuration.motor()?;
     if args.out.exists() {
         bail!("{} exists already: name a new folder", args.out.display());
     }
@@ -144,7 +159,6 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
     std::fs::create_dir_all(&recordings).with_context(|| format!("making {}", recordings.display()))?;
     let bar = ProgressBar::new(runs.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
-    let mut session = args.connect.session()?;
     let mut whole: Option<Measurement> = None;
     let mut cut: Option<(String, LinkError)> = None;
     for (number, planned) in runs.iter().enumerate() {
@@ -155,8 +169,9 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
             break;
         }
         let path = recordings.join(format!("{id}.mcap"));
-        let mut configuration = args.configuration.configuration()?;
+        let mut configuration = args.configuration.over(own)?;
         configuration.pwm_hz = planned.pwm_hz.round() as u16;
+        *used = configuration;
         let experiment = Experiment {
             configuration: Some(configuration),
             capture: ALL_STREAMS,
@@ -166,9 +181,9 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
                 duration_ms: duration_ms(planned.seconds)?,
             }),
             recording: Some(path.clone()),
-            motor: args.configuration.motor.clone(),
+            motor: motor.clone(),
         };
-        let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
+        let outcome = perform(session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
         if let Some(error) = outcome.cut() {
             // No ordinary run: it goes by another name, and into no measurement.
             let marked = recordings.join(format!("{id}.cut-short.mcap"));

@@ -3,13 +3,16 @@
 mod align;
 mod capture;
 mod compare;
+mod config;
 mod connect;
 mod demo;
 mod diagnose;
 mod driver;
+mod existing;
 pub mod exit;
 mod experiment;
 mod export;
+mod flash;
 mod identify;
 mod import;
 mod info;
@@ -20,6 +23,7 @@ mod neck;
 mod output;
 mod plot;
 mod ports;
+mod reboot;
 mod replay;
 mod signals;
 mod sim;
@@ -34,7 +38,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about, after_help = exit::HELP)]
+#[command(name = "twum", version, about, after_help = format!("{}\n\n{}", existing::POLICY, exit::HELP))]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -48,6 +52,8 @@ enum Command {
     Capture(capture::Args),
     /// Hold a recording or measurement folder against the fixed-point model and the simulation
     Compare(compare::Args),
+    /// Show, dump, load or compare the configuration a board keeps
+    Config(config::Args),
     /// Drive a simulated motor end to end and write a report
     Demo(demo::Args),
     /// Show what the simulation gets wrong and name the cause
@@ -58,6 +64,8 @@ enum Command {
     Experiment(experiment::Args),
     /// Turn a recording into CSV, decoded MCAP or a measurement folder
     Export(export::Args),
+    /// Put this version's firmware on a board
+    Flash(flash::Args),
     /// Identify the stator's circuit, friction and the force factor
     Identify(identify::Args),
     /// Check a measurement folder and convert it
@@ -76,6 +84,8 @@ enum Command {
     Plot(plot::Args),
     /// List serial ports
     Ports(ports::Args),
+    /// Restart a board
+    Reboot(reboot::Args),
     /// Check a recording bit for bit against the fixed-point step
     Replay(replay::Args),
     /// Serve a simulated board
@@ -97,11 +107,13 @@ impl Cli {
             Command::Align(args) => align::run(args),
             Command::Capture(args) => capture::run(args),
             Command::Compare(args) => compare::run(args),
+            Command::Config(args) => config::run(args),
             Command::Demo(args) => demo::run(args),
             Command::Diagnose(args) => diagnose::run(args),
             Command::Driver(args) => driver::run(args),
             Command::Experiment(args) => experiment::run(args),
             Command::Export(args) => export::run(args),
+            Command::Flash(args) => flash::run(args),
             Command::Identify(args) => identify::run(args),
             Command::Import(args) => import::run(args),
             Command::Info(args) => info::run(args),
@@ -111,6 +123,7 @@ impl Cli {
             Command::Neck(args) => neck::run(args),
             Command::Plot(args) => plot::run(args),
             Command::Ports(args) => ports::run(args),
+            Command::Reboot(args) => reboot::run(args),
             Command::Replay(args) => replay::run(args),
             Command::Sim(args) => sim::run(args),
             Command::Speed(args) => speed::run(args),

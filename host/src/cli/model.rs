@@ -1,5 +1,6 @@
 //! `twum model`.
 
+use super::existing::ExistingArgs;
 use super::output::{print_table, spinner};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
@@ -12,6 +13,7 @@ use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::{History, MotorPlant, Solver};
 use twum_host::model::parameters::Flavour;
 use twum_host::model::study::{Setup, Speed};
+use twum_host::output::{self, Existing, Output};
 use twum_host::report::figure::{Figure, Panel};
 use twum_shared::reference::Reference;
 use twum_shared::step::{Config, ConfigSpec};
@@ -92,6 +94,8 @@ enum Question {
         /// Write every control tick to this file
         #[arg(long, value_name = "FILE")]
         csv: Option<PathBuf>,
+        #[command(flatten)]
+        existing: ExistingArgs,
     },
 }
 
@@ -162,12 +166,16 @@ impl Common {
             seconds: self.seconds.unwrap_or(seconds),
         };
         setup.check()?;
+        setup.check_load()?;
+        if let Some(path) = &self.plot {
+            output::may_write(path, Existing::Keep)?;
+        }
         Ok(setup)
     }
 
     fn draw(&self, figure: impl FnOnce() -> Result<Figure>) -> Result<()> {
         if let Some(path) = &self.plot {
-            figure()?.write(path).with_context(|| format!("cannot draw {}", path.display()))?;
+            figure()?.write(path)?;
             eprintln!("wrote {}", path.display());
         }
         Ok(())
@@ -181,8 +189,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Question::Sweep { common, points } => sweep(&common, points),
         Question::Torque { common, duty, points } => torque(&common, duty, points),
         Question::Check { motor, json } => check_models(&motor, json),
-        Question::Loop { common, control, amplitude, omega, true_sense, csv } => {
-            follow(&common, control, amplitude, omega, true_sense, csv)
+        Question::Loop { common, control, amplitude, omega, true_sense, csv, existing } => {
+            follow(&common, control, amplitude, omega, true_sense, csv, existing)
         }
     }?;
     Ok(ExitCode::SUCCESS)
@@ -198,6 +206,7 @@ fn speed(common: &Common, duty: f64) -> Result<()> {
     let waiting = spinner();
     let speed = setup.speed()?;
     waiting.finish_and_clear();
+    finite(&[(duty, speed)])?;
     if common.json {
         print_json(&speed)?;
     } else {
@@ -217,6 +226,16 @@ fn speed(common: &Common, duty: f64) -> Result<()> {
     })
 }
 
+/// Refuses an answer that is no number.
+fn finite(speeds: &[(f64, Speed)]) -> Result<()> {
+    match speeds.iter().find(|(_, speed)| !speed.speed_rad_s.is_finite()) {
+        Some((at, _)) => {
+            bail!("the model gives no finite speed at {at}: these parameters are outside what it describes")
+        }
+        None => Ok(()),
+    }
+}
+
 #[derive(Serialize)]
 struct SweepPoint {
     duty: f64,
@@ -233,6 +252,7 @@ fn sweep(common: &Common, points: usize) -> Result<()> {
     let waiting = spinner();
     let speeds = setup.sweep(&duties)?;
     waiting.finish_and_clear();
+    finite(&speeds)?;
     if common.json {
         print_json(&speeds.iter().map(|&(duty, speed)| SweepPoint { duty, speed }).collect::<Vec<_>>())?;
     } else {
@@ -267,6 +287,7 @@ fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
     let waiting = spinner();
     let speeds = setup.under_loads(&loads)?;
     waiting.finish_and_clear();
+    finite(&speeds)?;
     if common.json {
         print_json(&speeds.iter().map(|&(load_nm, speed)| TorquePoint { load_nm, speed }).collect::<Vec<_>>())?;
     } else {
@@ -361,8 +382,12 @@ fn follow(
     omega: f64,
     true_sense: bool,
     csv: Option<PathBuf>,
+    existing: ExistingArgs,
 ) -> Result<()> {
     let setup = common.setup(1.0, 10.0)?;
+    if let Some(path) = &csv {
+        output::may_write(path, existing.into())?;
+    }
     let spec = match control {
         ControlArg::Thesis => ConfigSpec::THESIS,
         ControlArg::Default => ConfigSpec::DEFAULT,
@@ -399,14 +424,16 @@ fn follow(
         println!("the count ended {} counts off the true position", following.miscount);
     }
     if let Some(path) = csv {
-        write_csv(&path, &trace).with_context(|| format!("cannot write {}", path.display()))?;
+        let mut out = Output::begin(&path, existing.into())?;
+        write_csv(&mut out, &trace).with_context(|| format!("cannot write {}", path.display()))?;
+        out.finish()?;
     }
     common.draw(|| Ok(loop_figure(&program, &trace, &setup)))
 }
 
 /// The `control` format of a measurement folder.
-fn write_csv(path: &std::path::Path, trace: &[Tick]) -> Result<()> {
-    let mut writer = csv::Writer::from_path(path)?;
+fn write_csv(out: &mut Output, trace: &[Tick]) -> Result<()> {
+    let mut writer = csv::Writer::from_writer(out);
     writer.write_record(["time_us", "target", "position", "u", "duty", "direction"])?;
     for tick in trace {
         writer.write_record([

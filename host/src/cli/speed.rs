@@ -47,15 +47,15 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Way::Ccw => Direction::Ccw,
     };
     let experiment = Experiment {
-        configuration: Some(args.configuration.configuration()?),
+        configuration: None,
         capture: ALL_STREAMS,
         action: Action::Speed(SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? }),
         recording: args.record.out.clone(),
-        motor: args.configuration.motor.clone(),
+        motor: args.configuration.motor()?,
     };
     let spinner = spinner();
     spinner.set_message("running");
-    let outcome = args.connect.perform(&experiment, |_| {})?;
+    let outcome = args.connect.perform_with(&args.configuration, experiment, |_| {})?;
     spinner.finish_and_clear();
     args.record.conclude(&outcome)
 }

@@ -87,15 +87,15 @@ fn way_point(text: &str) -> Result<WayPoint> {
 pub fn run(args: Args) -> Result<ExitCode> {
     let reference = args.reference.reference()?;
     let experiment = Experiment {
-        configuration: Some(args.configuration.configuration()?),
+        configuration: None,
         capture: ALL_STREAMS,
         action: Action::Track(TrackRun { reference, duration_ms: duration_ms(args.seconds)? }),
         recording: args.record.out.clone(),
-        motor: args.configuration.motor.clone(),
+        motor: args.configuration.motor()?,
     };
     let spinner = spinner();
     spinner.set_message("tracking");
-    let outcome = args.connect.perform(&experiment, |_| {})?;
+    let outcome = args.connect.perform_with(&args.configuration, experiment, |_| {})?;
     spinner.finish_and_clear();
     args.record.conclude(&outcome)
 }

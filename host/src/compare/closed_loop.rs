@@ -2,6 +2,7 @@
 //! anything is fitted. The loop hides what is wrong with the motor in the position; the residuals do not.
 
 use super::controller::{self, ControllerCheck, ControllerError, root_mean};
+use super::simulation::can_be_simulated;
 use crate::model::actuator::Pwm;
 use crate::model::motor::Motor;
 use crate::model::motor_plant::{History, MotorPlant, Solver};
@@ -82,6 +83,7 @@ pub struct SensorParity {
 /// A run that is no table of control ticks, or names a controller that is not valid.
 pub fn compare(run: &Run, edges_per_rev: u32, motor: &Motor, flavour: Flavour) -> Result<ClosedLoop, ControllerError> {
     let RunData::Control(rows) = &run.data else { return Err(ControllerError::NoTicks(run.id.clone())) };
+    can_be_simulated(run).map_err(|reason| ControllerError::TooLong { run: run.id.clone(), reason })?;
     let (controller, not_recomputed) = match controller::check(run) {
         Ok(check) => (Some(check), None),
         Err(reason @ (ControllerError::NoController(_) | ControllerError::FeedForward)) => {

@@ -3,8 +3,8 @@
 
 use super::finding::{Estimate, Finding, Status};
 use super::problem::RunDesign;
-use super::verdict::{LARGEST_P, LEAST_GAIN};
 use super::stats::{Fold, Grams, Group, p_value};
+use super::verdict::{LARGEST_P, LEAST_GAIN};
 use crate::record::measurement::{ControlRow, Run, RunData};
 use twum_shared::step::{Config, ConfigSpec, Inputs, State, step};
 

@@ -63,15 +63,39 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             own: false,
             harmonic: false,
         });
-        all.push(Term { lives_in: "the milliseconds after switching", columns: switching(), coordinates: &[Coordinate::Pulse], own: false, harmonic: false });
+        all.push(Term {
+            lives_in: "the milliseconds after switching",
+            columns: switching(),
+            coordinates: &[Coordinate::Pulse],
+            own: false,
+            harmonic: false,
+        });
     }
     if levels {
-        all.push(Term { lives_in: "encoder slots", columns: flexible(vec![Basis::Slot]), coordinates: &[Coordinate::Slots], own: false, harmonic: false });
+        all.push(Term {
+            lives_in: "encoder slots",
+            columns: flexible(vec![Basis::Slot]),
+            coordinates: &[Coordinate::Slots],
+            own: false,
+            harmonic: false,
+        });
     }
     if turning {
         let harmonics = |from: usize, to: usize| flexible((2 * from - 2..2 * to).map(Basis::Angle).collect());
-        all.push(Term { lives_in: "angle", columns: harmonics(1, 2), coordinates: &[Coordinate::Angle], own: true, harmonic: true });
-        all.push(Term { lives_in: "angle, three and more times a turn", columns: harmonics(3, 8), coordinates: &[], own: true, harmonic: true });
+        all.push(Term {
+            lives_in: "angle",
+            columns: harmonics(1, 2),
+            coordinates: &[Coordinate::Angle],
+            own: true,
+            harmonic: true,
+        });
+        all.push(Term {
+            lives_in: "angle, three and more times a turn",
+            columns: harmonics(3, 8),
+            coordinates: &[],
+            own: true,
+            harmonic: true,
+        });
     }
     all
 }

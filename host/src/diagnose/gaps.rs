@@ -7,8 +7,8 @@
 use super::finding::{Estimate, Finding, Status};
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM};
-use super::verdict::{LARGEST_P, LEAST_GAIN};
 use super::stats::HeldOut;
+use super::verdict::{LARGEST_P, LEAST_GAIN};
 use crate::record::measurement::RunKind;
 
 /// Samples in a word of the thesis's capture.

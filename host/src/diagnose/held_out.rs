@@ -227,7 +227,10 @@ impl<'a> Scorer<'a> {
                     groups.push((effect, Group::Linear((at..base + columns.len()).collect())));
                 } else {
                     columns.extend(form.phased.iter().flat_map(|p| p.columns()));
-                    groups.push((effect, Group::Phased((0..form.phased.len()).map(|k| [at + 2 * k, at + 2 * k + 1]).collect())));
+                    groups.push((
+                        effect,
+                        Group::Phased((0..form.phased.len()).map(|k| [at + 2 * k, at + 2 * k + 1]).collect()),
+                    ));
                 }
             }
         }
@@ -264,9 +267,5 @@ fn middle_angle(run: &Observed, w: &Window) -> f64 {
 /// Whether a window lies in the part of a run that is scored: after the first turn, or, of less than one and a half, after half the time.
 pub fn is_later(run: &Observed, w: &Window) -> bool {
     let by_turns = run.revolutions() >= 1.5 && run.reversals.is_empty();
-    if by_turns {
-        middle_angle(run, w) >= TAU
-    } else {
-        middle(run, w) >= 0.5 * run.drive_end.min(run.record_end)
-    }
+    if by_turns { middle_angle(run, w) >= TAU } else { middle(run, w) >= 0.5 * run.drive_end.min(run.record_end) }
 }

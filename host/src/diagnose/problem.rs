@@ -243,7 +243,14 @@ impl Problem {
     }
 
     /// Residuals of a run with one phased coefficient larger by a step, and the step.
-    fn phased_step(&self, i: usize, column: &Column, p: &Parameters, terms: &RunTerms, warmth: f64) -> (RunResidual, f64) {
+    fn phased_step(
+        &self,
+        i: usize,
+        column: &Column,
+        p: &Parameters,
+        terms: &RunTerms,
+        warmth: f64,
+    ) -> (RunResidual, f64) {
         let mut terms = *terms;
         let step = match column {
             Column::Runout(h) => {

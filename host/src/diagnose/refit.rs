@@ -48,7 +48,14 @@ const FIRST_POWER: f64 = 0.01;
 const EXPECTATIONS: usize = 6;
 
 /// Fits `free` (the first must be the free speed) and `phased`, starting from `model`.
-pub fn refit(problem: &Problem, mut model: Model, free: &[Free], phased: &[Phased], noise: Noise, steps: usize) -> Model {
+pub fn refit(
+    problem: &Problem,
+    mut model: Model,
+    free: &[Free],
+    phased: &[Phased],
+    noise: Noise,
+    steps: usize,
+) -> Model {
     let mut power = vec![FIRST_POWER; phased.len()];
     for _ in 0..steps {
         let mut columns = columns_of(free);
@@ -181,7 +188,13 @@ fn expected_power(runs: &[RunEquations], power: &[f64], variance: f64) -> Vec<f6
 }
 
 /// Steps of the common parameters (in their scales) and the coefficients of every run.
-fn solve(runs: &[RunEquations], free: &[Free], model: &Model, power: &[f64], variance: f64) -> Option<(DVector<f64>, Vec<DVector<f64>>)> {
+fn solve(
+    runs: &[RunEquations],
+    free: &[Free],
+    model: &Model,
+    power: &[f64],
+    variance: f64,
+) -> Option<(DVector<f64>, Vec<DVector<f64>>)> {
     let c = free.len();
     let mut m = DMatrix::zeros(c, c);
     let mut rhs = DVector::zeros(c);

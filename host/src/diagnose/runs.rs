@@ -52,7 +52,12 @@ pub struct Outcome {
 }
 
 /// Diagnoses runs, starting from the motor file's rotor.
-pub fn diagnose_runs(problem: &Problem, home: &Parameters, settings: &Settings, progress: &dyn Fn(&str, f64)) -> Outcome {
+pub fn diagnose_runs(
+    problem: &Problem,
+    home: &Parameters,
+    settings: &Settings,
+    progress: &dyn Fn(&str, f64),
+) -> Outcome {
     let effects: Vec<Effect> = library(home.get(P::OnAcceleration))
         .into_iter()
         .filter(|e| !settings.without.iter().any(|w| w == e.name))
@@ -105,7 +110,8 @@ fn lost_samples(problem: &Problem, baseline: &Model, settings: &Settings) -> Opt
     if settings.without.iter().any(|w| w == "dropped-samples") {
         return None;
     }
-    let model = Model { parameters: baseline.parameters.clone(), terms: problem.model(baseline.parameters.clone()).terms };
+    let model =
+        Model { parameters: baseline.parameters.clone(), terms: problem.model(baseline.parameters.clone()).terms };
     gaps::find(problem, &model, settings.seed).filter(|g| !clock_explains(problem, &model, g))
 }
 
@@ -250,7 +256,9 @@ fn strike_uncertain(
             let sizes = estimates(scorer, &ground.effects[p.effect], accepted, p);
             let is_size = |name: &str| {
                 let reported = ground.effects[p.effect].reported.iter().find(|r| r.name == name);
-                reported.is_none_or(|r| ground.effects[p.effect].forms[p.form].sizes.iter().any(|s| s.parameter == r.parameter))
+                reported.is_none_or(|r| {
+                    ground.effects[p.effect].forms[p.form].sizes.iter().any(|s| s.parameter == r.parameter)
+                })
             };
             // A secant's size is one of some that were tried: its interval says how well it is known, not whether it is there.
             let secant = ground.effects[p.effect].forms[p.form].sizes.iter().any(|s| s.step.abs() >= 0.99 * s.scale);

@@ -134,9 +134,8 @@ impl<'a> Ground<'a> {
             progress("weighing sets of effects", 0.1 + 0.7 * round as f64 / MOST_EXPANDED as f64);
             let best = pool.iter().map(|s| s.score).fold(f64::NEG_INFINITY, f64::max);
             let open = |s: &Set| !s.expanded && s.parts.len() < MOST_EFFECTS && s.score > best - WINDOW;
-            let next = (0..pool.len())
-                .filter(|i| open(&pool[*i]))
-                .max_by(|a, b| pool[*a].score.total_cmp(&pool[*b].score));
+            let next =
+                (0..pool.len()).filter(|i| open(&pool[*i])).max_by(|a, b| pool[*a].score.total_cmp(&pool[*b].score));
             let Some(at) = next else { break };
             pool[at].expanded = true;
             let from = pool[at].clone();
@@ -180,7 +179,11 @@ impl<'a> Ground<'a> {
     fn expand(&self, from: &Set, among: &[usize], most: usize, again: bool, pool: &mut Vec<Set>) {
         let candidates = self.candidates(from, among);
         if std::env::var("TWUM_TRACE").is_ok() {
-            let list: Vec<String> = candidates.iter().take(6).map(|c| format!("{}/{} {:.1}", self.effects[c.effect].name, c.form, c.gain)).collect();
+            let list: Vec<String> = candidates
+                .iter()
+                .take(6)
+                .map(|c| format!("{}/{} {:.1}", self.effects[c.effect].name, c.form, c.gain))
+                .collect();
             eprintln!("expand {} {:.2}: {}", self.names(from), from.score, list.join(", "));
         }
         let strongest = candidates.first().map_or(0.0, |c| c.gain);
@@ -191,7 +194,10 @@ impl<'a> Ground<'a> {
             let effects: std::collections::BTreeSet<usize> = tried.iter().map(|t| t.0).collect();
             let another = match forms.first() {
                 None => effects.len() < most,
-                Some(first) => forms.len() < 2 && self.effects[c.effect].forms[*first].differs(&self.effects[c.effect].forms[c.form]),
+                Some(first) => {
+                    forms.len() < 2
+                        && self.effects[c.effect].forms[*first].differs(&self.effects[c.effect].forms[c.form])
+                }
             };
             if !another {
                 continue;
@@ -258,7 +264,8 @@ impl<'a> Ground<'a> {
                 .copied()
                 .filter(|e| {
                     let other = &self.effects[*e];
-                    let rival = other.conflicts.contains(&name) || self.effects[best.parts[k].effect].conflicts.contains(&other.name);
+                    let rival = other.conflicts.contains(&name)
+                        || self.effects[best.parts[k].effect].conflicts.contains(&other.name);
                     let mut target = rest.clone();
                     target.push(*e);
                     target.sort_unstable();
@@ -324,10 +331,8 @@ impl<'a> Ground<'a> {
         let base = Question { common, own };
         let without = root.map_or(0.0, |r| r.weighed.left);
         let start = Start {
-            variance: root.map_or_else(
-                || first_noise(self.problem, &model, self.independent).variance,
-                |r| r.weighed.variance,
-            ),
+            variance: root
+                .map_or_else(|| first_noise(self.problem, &model, self.independent).variance, |r| r.weighed.variance),
             taus: self.level.believed(),
             without,
             spreads: Spreads::Anywhere,
@@ -360,7 +365,8 @@ impl<'a> Ground<'a> {
         if let Some(r) = root {
             let shift = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
             let level = self.level.beside_a_shift((shift / weighed.gains.len().max(1) as f64).sqrt());
-            weighed = ask(&[], &Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() }, &level).unwrap_or_else(failed);
+            weighed = ask(&[], &Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() }, &level)
+                .unwrap_or_else(failed);
         }
         // Terms without physics, one after the other, at the spreads that the gains have without them.
         let without = without.max(weighed.left);
@@ -395,7 +401,8 @@ impl<'a> Ground<'a> {
             .sum::<f64>();
         let amplitude = if self.parts_admissible(&parts, &weighed.powers) { amplitude } else { f64::NEG_INFINITY };
         let ways: f64 = parts.iter().map(|p| (self.effects[p.effect].ways() as f64).ln()).sum();
-        let coordinates: std::collections::BTreeSet<_> = parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
+        let coordinates: std::collections::BTreeSet<_> =
+            parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
         let shared = (parts.len() - coordinates.len()) as f64;
         let score = best + prior + amplitude - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
         let set = Set { parts, model, score, weighed, terms: left, expanded: false };
@@ -407,7 +414,10 @@ impl<'a> Ground<'a> {
                 set.weighed.left,
                 set.weighed.taus.map(|t| (t * 1e4).round() / 1e4),
                 set.terms,
-                free.iter().map(|f| format!("{:?}={:.4}", f.parameter, set.model.parameters.get(f.parameter))).collect::<Vec<_>>().join(" ")
+                free.iter()
+                    .map(|f| format!("{:?}={:.4}", f.parameter, set.model.parameters.get(f.parameter)))
+                    .collect::<Vec<_>>()
+                    .join(" ")
             );
         }
         set
@@ -453,7 +463,12 @@ impl<'a> Ground<'a> {
                     .phased
                     .iter()
                     .flat_map(|p| p.columns())
-                    .map(|c| place(&mut columns, if shape.is_empty() { c } else { Column::Shaped(Box::new(c), shape.clone()) }))
+                    .map(|c| {
+                        place(
+                            &mut columns,
+                            if shape.is_empty() { c } else { Column::Shaped(Box::new(c), shape.clone()) },
+                        )
+                    })
                     .collect();
                 forms.push((effect, k, sizes, pairs));
             }
@@ -481,7 +496,9 @@ impl<'a> Ground<'a> {
             .par_iter()
             .filter_map(|(effect, form, sizes, pairs)| {
                 let spec = &self.effects[*effect].forms[*form];
-                let looks = [from.weighed.taus, believed].into_iter().filter_map(|t| ask(sizes, pairs, &start(t, Spreads::Stay)));
+                let looks = [from.weighed.taus, believed]
+                    .into_iter()
+                    .filter_map(|t| ask(sizes, pairs, &start(t, Spreads::Stay)));
                 let best = looks.max_by(|a, b| a.log.total_cmp(&b.log))?;
                 let values = self.admissible(spec, &best.common[base.common.len()..])?;
                 Some(Candidate { effect: *effect, form: *form, gain: best.log - now.log, values })
@@ -499,7 +516,8 @@ impl<'a> Ground<'a> {
         kept.par_iter_mut().for_each(|c| {
             if let Some((_, _, sizes, pairs)) = of(c)
                 && let Some(w) = ask(sizes, pairs, &start(from.weighed.taus, Spreads::Near))
-                && let Some(values) = self.admissible(&self.effects[c.effect].forms[c.form], &w.common[base.common.len()..])
+                && let Some(values) =
+                    self.admissible(&self.effects[c.effect].forms[c.form], &w.common[base.common.len()..])
             {
                 c.gain = w.log - now.log;
                 c.values = values;
@@ -536,12 +554,8 @@ impl<'a> Ground<'a> {
     /// The set with a candidate in it, refitted.
     fn with(&self, from: &Set, candidate: &Candidate, root: &Set) -> Set {
         let spec = &self.effects[candidate.effect].forms[candidate.form];
-        let part = Part {
-            effect: candidate.effect,
-            form: candidate.form,
-            free: free_of(spec),
-            phased: spec.phased.clone(),
-        };
+        let part =
+            Part { effect: candidate.effect, form: candidate.form, free: free_of(spec), phased: spec.phased.clone() };
         let mut start = from.model.clone();
         for s in &spec.shapes {
             start.parameters.set(s.parameter, s.start);

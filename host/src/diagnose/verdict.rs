@@ -46,8 +46,11 @@ pub fn judge(sets: &[Set], without: f64, log_prior_of_spread: &dyn Fn(usize, f64
     let mut effects: Vec<usize> = sets.iter().flat_map(Set::key).collect();
     effects.sort_unstable();
     effects.dedup();
-    let mut inclusion: Vec<(usize, f64)> =
-        effects.into_iter().map(|e| (e, probability(&|s| s.key().contains(&e)))).filter(|(_, p)| *p >= POSSIBLE).collect();
+    let mut inclusion: Vec<(usize, f64)> = effects
+        .into_iter()
+        .map(|e| (e, probability(&|s| s.key().contains(&e))))
+        .filter(|(_, p)| *p >= POSSIBLE)
+        .collect();
     inclusion.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut named: Vec<usize> = inclusion.iter().filter(|(_, p)| *p >= NAMED).map(|(e, _)| *e).collect();
     let mut one_of: Vec<usize> = Vec::new();

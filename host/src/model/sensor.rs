@@ -146,7 +146,8 @@ fn crossing(segment: &Segment, from_s: f64, to_s: f64, f: impl Fn(&Segment, f64)
         }
         (b, fb) = (c, fc);
     }
-    b.clamp(from_s, to_s)
+    // Not `clamp`, which panics where a rotor that ran away has no position any more.
+    b.max(from_s).min(to_s)
 }
 
 /// What the recorder makes of the edges: its clock, and what it loses. Leaves `edges` in order.

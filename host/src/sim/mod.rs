@@ -6,10 +6,12 @@
 mod board;
 pub mod clock;
 mod driver_board;
+mod flash;
 mod motor;
-mod pins;
+mod silicon;
 mod wire;
 
 pub use board::{Board, Disturbance, Setup};
 pub use driver_board::DriverHealth;
 pub use motor::{FirstOrderMotor, PlantMotor, SimulatedMotor};
+pub use silicon::{Chip, Half, PadEdge};

@@ -8,8 +8,8 @@ pub mod map;
 
 use super::finding::{Estimate, Finding, Status, Unknown};
 use super::problem::RunDesign;
-use super::verdict::{LARGEST_P, LEAST_GAIN};
 use super::stats::{Fold, Grams, Group, HeldOut, p_value};
+use super::verdict::{LARGEST_P, LEAST_GAIN};
 use crate::record::measurement::{DriveResponse, Run, RunData};
 use map::{Map, Shape, Top, VALUES};
 use rand::{RngExt, SeedableRng};
@@ -574,7 +574,11 @@ fn left_over(pieces: &Pieces, maps: &[Map], y: &[Vec<f64>], repetitions: usize, 
     let (improvement, null) = grams.screen(&[0], std::slice::from_ref(&flexible), &[], repetitions, seed + 99);
     let p = p_value(improvement[0], &null);
     let gain = grams.hold_out(&[0], &flexible).gain();
-    if p <= LARGEST_P && gain > 0.0 { vec![Unknown { lives_in: "input", gain, share: 0.0, p_null: p }] } else { Vec::new() }
+    if p <= LARGEST_P && gain > 0.0 {
+        vec![Unknown { lives_in: "input", gain, share: 0.0, p_null: p }]
+    } else {
+        Vec::new()
+    }
 }
 
 /// Spread of second differences: what is left when neighbours agree.

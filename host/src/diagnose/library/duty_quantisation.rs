@@ -13,10 +13,7 @@ pub(super) fn effect() -> Effect {
         coordinate: Coordinate::Duty,
         needs: &[Need::ThreeDuties],
         forms: (3..=26).chain([28, 30, 31, 32, 40, 50, 64]).map(f64::from).map(rounded).collect(),
-        reported: vec![
-            reported("rounding_share", "1", P::QuantShare),
-            reported("duty_steps", "1", P::QuantSteps),
-        ],
+        reported: vec![reported("rounding_share", "1", P::QuantShare), reported("duty_steps", "1", P::QuantSteps)],
         conflicts: &["dead-zone"],
         next_experiment: "sweep the duty in steps of 0.01 over 0.1: a staircase shows its treads",
     }

@@ -10,9 +10,8 @@ pub(super) fn effect() -> Effect {
     let excess = || one(P::SettleExcess, 0.3, 0.02, (-1.5, 3.0));
     let forms = [0.006, 0.012, 0.025, 0.05, 0.1, 0.2].into_iter().flat_map(|tau| {
         // Counted from the start of the run, or while the drive is on.
-        [0.0, 1.0].map(|on_time| {
-            excess().shaped(P::SettleTau, tau, TIME, (0.003, 0.4)).pinned(P::SettleOnTime, on_time)
-        })
+        [0.0, 1.0]
+            .map(|on_time| excess().shaped(P::SettleTau, tau, TIME, (0.003, 0.4)).pinned(P::SettleOnTime, on_time))
     });
     Effect {
         name: "frequency-settling",

@@ -256,10 +256,15 @@ impl Form {
 
     /// Whether two forms differ in more than where the linear search looks.
     pub fn differs(&self, other: &Self) -> bool {
-        let pinned = |f: &Self| f.shapes.iter().filter(|s| s.prior.is_none()).map(|s| (s.parameter, s.start)).collect::<Vec<_>>();
+        let pinned = |f: &Self| {
+            f.shapes.iter().filter(|s| s.prior.is_none()).map(|s| (s.parameter, s.start)).collect::<Vec<_>>()
+        };
         let free = |f: &Self| f.shapes.iter().filter(|s| s.prior.is_some()).map(|s| s.parameter).collect::<Vec<_>>();
         let sizes = |f: &Self| f.sizes.iter().map(|s| s.parameter).collect::<Vec<_>>();
-        pinned(self) != pinned(other) || free(self) != free(other) || sizes(self) != sizes(other) || self.phased != other.phased
+        pinned(self) != pinned(other)
+            || free(self) != free(other)
+            || sizes(self) != sizes(other)
+            || self.phased != other.phased
     }
 
     /// Its sizes as columns of a design.
@@ -308,9 +313,7 @@ pub fn not_judged(effect: &Effect, problem: &Problem) -> Option<String> {
                 (!levels).then_some("needs encoder edges")
             }
             Need::Edges => (!runs.iter().any(|r| r.pitch > 0.0)).then_some("needs encoder edges"),
-            Need::Order => {
-                (!problem.ordered() || runs.len() < 4).then_some("needs the order of at least four runs")
-            }
+            Need::Order => (!problem.ordered() || runs.len() < 4).then_some("needs the order of at least four runs"),
             Need::LongRun => (runs.iter().all(|r| r.record_end < 0.8)).then_some("needs runs of a second or more"),
         }
     };

@@ -14,7 +14,9 @@ pub(super) fn effect() -> Effect {
         coordinate: Coordinate::Slow,
         needs: &[Need::Order],
         forms: [0.3, 3.0, 30.0, 300.0]
-            .map(|r0| one(P::Wear, 0.05, 0.002, (-0.5, 0.5)).shaped(P::WearRevolutions, r0, REVOLUTIONS, (0.03, 1000.0)))
+            .map(|r0| {
+                one(P::Wear, 0.05, 0.002, (-0.5, 0.5)).shaped(P::WearRevolutions, r0, REVOLUTIONS, (0.03, 1000.0))
+            })
             .into(),
         reported: vec![
             reported("change_per_log_revolution", "1", P::Wear),

@@ -129,8 +129,15 @@ mod tests {
             Parameters::new(3.6, 1900.0, 400.0, 0.3, 0.02).with(P::Sag, 0.2).with(P::SagTime, 5e-3),
         ] {
             for half_sample_s in [0.0, 0.5e-3] {
-                let input =
-                    RunInput { schedule: &schedule, drive_end: 1.5, times: &times, half_sample_s, angles: &angles, warmth: 0.0, revolutions: 0.0 };
+                let input = RunInput {
+                    schedule: &schedule,
+                    drive_end: 1.5,
+                    times: &times,
+                    half_sample_s,
+                    angles: &angles,
+                    warmth: 0.0,
+                    revolutions: 0.0,
+                };
                 let [mut fast, mut stepped] = [Vec::new(), Vec::new()];
                 simulate(&input, &p, &RunTerms::default(), &mut fast, &mut Vec::new());
                 simulate(&input, &p.with(P::Wear, 1e-12), &RunTerms::default(), &mut stepped, &mut Vec::new());

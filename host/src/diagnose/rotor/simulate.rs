@@ -95,7 +95,13 @@ struct Simulation<'a> {
 }
 
 impl<'a> Simulation<'a> {
-    fn new(input: &'a RunInput, p: &'a Parameters, terms: &'a RunTerms, mut angles: Vec<f64>, mut speeds: Vec<f64>) -> Self {
+    fn new(
+        input: &'a RunInput,
+        p: &'a Parameters,
+        terms: &'a RunTerms,
+        mut angles: Vec<f64>,
+        mut speeds: Vec<f64>,
+    ) -> Self {
         angles.clear();
         speeds.clear();
         let clock = 1.0 + p.get(P::ClockError);
@@ -165,7 +171,8 @@ impl<'a> Simulation<'a> {
                 let last = &periods[k - 1];
                 last.duty == period.duty && (last.end - last.start - (period.end - period.start)).abs() < 1e-12
             };
-            let still = (self.speed - before.0).abs() <= REPEATS * self.wave.full && (self.sagged - before.1).abs() <= REPEATS;
+            let still =
+                (self.speed - before.0).abs() <= REPEATS * self.wave.full && (self.sagged - before.1).abs() <= REPEATS;
             let repeats = whole && same && self.can_repeat();
             before = (self.speed, self.sagged);
             if repeats && let Some(pieces) = self.record.take_if(|r| !r.is_empty()) {
@@ -382,9 +389,8 @@ impl<'a> Simulation<'a> {
     /// Factor on the wave's speed until `end`.
     fn gain(&self, sign: f64, modulation: f64, end: f64) -> f64 {
         let p = self.p;
-        let mut gain = 1.0 - p.get(P::HeatLoss) * self.warmth
-            + sign * p.get(P::AsymSpeed)
-            + p.get(P::RunoutSpeed) * modulation;
+        let mut gain =
+            1.0 - p.get(P::HeatLoss) * self.warmth + sign * p.get(P::AsymSpeed) + p.get(P::RunoutSpeed) * modulation;
         let wear = p.get(P::Wear);
         if wear != 0.0 {
             let revolutions = self.input.revolutions + self.angle.abs() / std::f64::consts::TAU;
