@@ -408,7 +408,9 @@ fn what_was_fitted_is_what_is_saved() {
     let motor = Motor::pcbmotor_30mm();
     let parameters = motor.parameters(FLAVOUR);
     let inertia = parameters.rotor_inertia_kg_m2;
-    let fitted: [(&str, &[(P, f64)], &[(&str, f64)]); 12] = [
+    /// Name, what was fitted, what is saved.
+    type Row<'a> = (&'a str, &'a [(P, f64)], &'a [(&'a str, f64)]);
+    let fitted: [Row; 12] = [
         ("dead-zone", &[(P::DeadDuty, 0.04)], &[("threshold_duty", 0.04), ("gate_duty", 0.0)]),
         ("dead-zone", &[(P::GateDuty, 0.2), (P::GateWidth, 0.03)], &[("gate_duty", 0.2), ("gate_width", 0.03)]),
         ("high-duty-saturation", &[(P::Bend, 0.7)], &[("bend", 0.7), ("inverse_us", 0.0)]),

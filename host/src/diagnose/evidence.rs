@@ -13,6 +13,7 @@ use super::level::{Level, Taus};
 use super::problem::RunDesign;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
+use std::ops::AddAssign;
 
 /// How many independent residuals a data set counts as: two forms are told apart if this many would tell them apart.
 const INDEPENDENT: f64 = 200.0;
@@ -75,6 +76,13 @@ pub struct Question {
     pub common: Vec<(usize, f64)>,
     /// Own columns; those of one group share their power.
     pub own: Vec<(usize, usize)>,
+}
+
+impl Question {
+    /// The columns from the first own one to the last.
+    pub fn own_range(&self) -> std::ops::Range<usize> {
+        self.own.first().map_or(0, |o| o.0)..self.own.last().map_or(0, |o| o.0 + 1)
+    }
 }
 
 /// What was found by integrating.
@@ -213,8 +221,6 @@ fn join(runs: &[Reduced], gains: &Cholesky<f64, Dyn>, commons: usize) -> Option<
     let x = chol.solve(&b);
     Some(Joint { log_det: log_det(&chol), explained: b.dot(&x), gains: &l * x.rows(0, r), x, chol })
 }
-
-use std::ops::AddAssign;
 
 /// Integrates everything that is linear.
 pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) -> Option<Weighed> {

@@ -268,7 +268,7 @@ fn strike_uncertain(
         let Some(effect) = doubtful.map(|p| p.effect) else { return struck };
         judged.named.retain(|e| *e != effect);
         if judged.one_of.contains(&effect) {
-            struck.extend(judged.one_of.drain(..));
+            struck.append(&mut judged.one_of);
         } else {
             struck.push(effect);
         }

@@ -178,14 +178,6 @@ impl<'a> Ground<'a> {
     /// Sets with one more effect than `from`; `again` also those that were visited, with other forms.
     fn expand(&self, from: &Set, among: &[usize], most: usize, again: bool, pool: &mut Vec<Set>) {
         let candidates = self.candidates(from, among);
-        if std::env::var("TWUM_TRACE").is_ok() {
-            let list: Vec<String> = candidates
-                .iter()
-                .take(6)
-                .map(|c| format!("{}/{} {:.1}", self.effects[c.effect].name, c.form, c.gain))
-                .collect();
-            eprintln!("expand {} {:.2}: {}", self.names(from), from.score, list.join(", "));
-        }
         let strongest = candidates.first().map_or(0.0, |c| c.gain);
         let mut tried: Vec<(usize, usize)> = Vec::new();
         for c in candidates.iter().filter(|c| c.gain > strongest - FAR_BEHIND) {
@@ -217,11 +209,6 @@ impl<'a> Ground<'a> {
                 None => pool.push(set),
             }
         }
-    }
-
-    /// Names of a set's effects.
-    fn names(&self, set: &Set) -> String {
-        set.parts.iter().map(|p| format!("{}/{}", self.effects[p.effect].name, p.form)).collect::<Vec<_>>().join("+")
     }
 
     /// Sets that lack one effect of the best.
@@ -292,8 +279,8 @@ impl<'a> Ground<'a> {
         refit(self.problem, model, &free, &phased, noise, steps)
     }
 
-    /// Columns of a set: gain, other free parameters, phased pairs.
-    fn columns(&self, model: &Model, parts: &[Part]) -> (Vec<Column>, Vec<(usize, f64)>, Vec<(usize, usize)>) {
+    /// Columns of a set: gain, other free parameters, phased pairs; and what is asked of them.
+    fn columns(&self, model: &Model, parts: &[Part]) -> (Vec<Column>, Question) {
         let free = self.free(model, parts);
         let mut columns = columns_of(&free);
         let common = free
@@ -309,13 +296,13 @@ impl<'a> Ground<'a> {
                 columns.push(column);
             }
         }
-        (columns, common, own)
+        (columns, Question { common, own })
     }
 
     /// Weighs a refitted set; `root` is the set without effects.
     fn weigh_set(&self, parts: Vec<Part>, model: Model, root: Option<&Set>) -> Set {
-        let (mut columns, common, own) = self.columns(&model, &parts);
-        let own_columns = own.first().map_or(0, |o| o.0)..own.last().map_or(0, |o| o.0 + 1);
+        let (mut columns, base) = self.columns(&model, &parts);
+        let own_columns = base.own_range();
         let at: Vec<std::ops::Range<usize>> = self
             .terms
             .iter()
@@ -328,7 +315,6 @@ impl<'a> Ground<'a> {
         let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
         let designs = self.problem.design(&model, &columns);
         let equations = Equations::new(&designs, own_columns, &coefficients(&model, &phased));
-        let base = Question { common, own };
         let without = root.map_or(0.0, |r| r.weighed.left);
         let start = Start {
             variance: root
@@ -405,22 +391,7 @@ impl<'a> Ground<'a> {
             parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
         let shared = (parts.len() - coordinates.len()) as f64;
         let score = best + prior + amplitude - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
-        let set = Set { parts, model, score, weighed, terms: left, expanded: false };
-        if std::env::var("TWUM_TRACE").is_ok() {
-            eprintln!(
-                "   [{}] {score:.2} log {:.2} prior {prior:.2} amp {amplitude:.2} left {:.4} taus {:?} terms {:?} | {}",
-                self.names(&set),
-                set.weighed.log,
-                set.weighed.left,
-                set.weighed.taus.map(|t| (t * 1e4).round() / 1e4),
-                set.terms,
-                free.iter()
-                    .map(|f| format!("{:?}={:.4}", f.parameter, set.model.parameters.get(f.parameter)))
-                    .collect::<Vec<_>>()
-                    .join(" ")
-            );
-        }
-        set
+        Set { parts, model, score, weighed, terms: left, expanded: false }
     }
 
     fn term_cost(&self, term: usize) -> f64 {
@@ -448,8 +419,8 @@ impl<'a> Ground<'a> {
 
     /// All forms of the effects `among` beside a set, weighed linearly: the two best forms of each, best effects first.
     fn candidates(&self, from: &Set, among: &[usize]) -> Vec<Candidate> {
-        let (mut columns, common, own) = self.columns(&from.model, &from.parts);
-        let own_columns = own.first().map_or(0, |o| o.0)..own.last().map_or(0, |o| o.0 + 1);
+        let (mut columns, base) = self.columns(&from.model, &from.parts);
+        let own_columns = base.own_range();
         let present = from.key();
         let mut forms = Vec::new();
         for &effect in among {
@@ -476,7 +447,6 @@ impl<'a> Ground<'a> {
         let phased: Vec<Phased> = from.parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
         let designs = self.problem.design(&from.model, &columns);
         let equations = Equations::new(&designs, own_columns, &coefficients(&from.model, &phased));
-        let base = Question { common, own };
         let ask = |sizes: &[usize], pairs: &[usize], start: &Start| {
             let mut q = base.clone();
             q.common.extend(sizes.iter().map(|c| (*c, 1.0)));
