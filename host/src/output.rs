@@ -352,6 +352,14 @@ fn unfinished(path: &Path) -> String {
     format!(".{}.", name.chars().take(60).collect::<String>())
 }
 
+/// Gives a finished file another name in the same folder.
+///
+/// # Errors
+/// When the system refuses.
+pub fn rename(from: &Path, to: &Path) -> Result<(), OutputError> {
+    fs::rename(from, to).map_err(|reason| OutputError::io(to, reason))
+}
+
 fn beside(path: &Path, there: Option<&Metadata>) -> io::Result<NamedTempFile> {
     let prefix = unfinished(path);
     let mut builder = tempfile::Builder::new();
@@ -359,7 +367,10 @@ fn beside(path: &Path, there: Option<&Metadata>) -> io::Result<NamedTempFile> {
     // The user's mask takes off what new files of this user do not have.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let held = builder.tempfile_in(folder_of(path))?;
+    let folder = folder_of(path);
+    // The system's own words for a folder that is not there: those of the library that makes temporary files are others.
+    fs::metadata(&folder)?;
+    let held = builder.tempfile_in(folder)?;
     if let Some(there) = there {
         held.as_file().set_permissions(there.permissions())?;
     }

@@ -187,7 +187,7 @@ fn make(
         if let Some(error) = outcome.cut() {
             // No ordinary run: it goes by another name, and into no measurement.
             let marked = recordings.join(format!("{id}.cut-short.mcap"));
-            std::fs::rename(&path, &marked).with_context(|| format!("marking {}", marked.display()))?;
+            twum_host::output::rename(&path, &marked)?;
             cut = Some((id, error));
             break;
         }

@@ -37,7 +37,7 @@ pub struct Tally {
 impl Tally {
     /// Whether anything is missing.
     pub fn is_lossless(&self) -> bool {
-        self.lost == 0 && self.bad == 0 && self.reconnects == 0
+        self.lost == 0 && self.bad == 0 && self.reconnects == 0 && self.restarts == 0
     }
 }
 

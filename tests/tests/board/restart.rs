@@ -18,6 +18,8 @@ struct Line {
     link: SimulatedLink,
     restart_at: Duration,
     twice: bool,
+    /// What came of the frame that is not at its end.
+    frame: Vec<u8>,
 }
 
 impl Port for Line {
@@ -34,10 +36,11 @@ impl Port for Line {
         self.link.receive(into, wait)?;
         if self.twice {
             let came = into.split_off(before);
-            for frame in came.split_inclusive(|byte| *byte == 0) {
-                into.extend_from_slice(frame);
-                if frame.last() == Some(&0) {
-                    into.extend_from_slice(frame);
+            for byte in came {
+                into.push(byte);
+                self.frame.push(byte);
+                if byte == 0 {
+                    into.append(&mut self.frame);
                 }
             }
         }
@@ -54,7 +57,8 @@ impl Port for Line {
 }
 
 fn performed(path: &Path, action: Action, restart_at: Duration, twice: bool) -> Result<Outcome, LinkError> {
-    let mut session = Session::new(Line { link: SimulatedLink::new(Setup::default()), restart_at, twice });
+    let mut session =
+        Session::new(Line { link: SimulatedLink::new(Setup::default()), restart_at, twice, frame: Vec::new() });
     let experiment = Experiment {
         configuration: matches!(action, Action::Track(_)).then(|| Configuration::with_control(ConfigSpec::THESIS)),
         capture: ALL,
