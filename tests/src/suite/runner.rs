@@ -53,7 +53,7 @@ impl Runner {
     /// Files that cannot be read or written. A data set that cannot be made or diagnosed is a line that says so.
     pub fn run(&self, cases: &[Case]) -> Result<(), String> {
         std::fs::create_dir_all(&self.out).map_err(|e| format!("{}: {e}", self.out.display()))?;
-        let done: BTreeSet<Case> = read(&[self.out.clone()])?.iter().map(|o| case_of(&o.truth)).collect();
+        let done: BTreeSet<Case> = read(std::slice::from_ref(&self.out))?.iter().map(|o| case_of(&o.truth)).collect();
         let (part, of) = self.shard;
         let mine: Vec<&Case> =
             cases.iter().enumerate().filter(|(n, c)| n % of == part - 1 && !done.contains(c)).map(|(_, c)| c).collect();
