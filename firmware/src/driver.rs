@@ -7,7 +7,7 @@ use embedded_hal::digital::InputPin;
 use embedded_io_async::{Read, Write};
 use heapless::{String, Vec};
 use twum_shared::alignment::{Action, Alignment, Event as AlignEvent, Failure};
-use twum_shared::driver::{Line, write};
+use twum_shared::driver::{self, Command as Text, LINE_MICROSTEPS, Line, write};
 
 /// The two wires to the driver board, which are a UART in its text mode, and PWM and direction in hardware mode.
 pub trait DriverPort: Read + Write {
@@ -18,30 +18,44 @@ pub trait DriverPort: Read + Write {
     fn to_hardware(&mut self);
 }
 
-/// After a passed-on line, motion is over when no edge came for this long.
+/// The rotor stands when no edge came for this long.
 const STANDSTILL_MS: u64 = 300;
 /// A passed-on line is given up after this long.
 const PASSTHROUGH_MS: u64 = 60_000;
+/// A line's worth of microsteps, or a reading of the sensor, is answered within this time.
+const REPLY_MS: u32 = 2_000;
+/// A pause that ends a reply which has no line end.
+const QUIET_MS: u32 = 50;
 
-/// Serves alignment and pass-through for ever.
+/// Serves alignment and pass-through for ever. Nothing in the board's text mode ends a motion that has begun, so the
+/// board is never given more than [`LINE_MICROSTEPS`] at once, and more only while the errand lasts: a stop, a silent host, a
+/// fault or a restart of the chip all end the motion within that.
 pub async fn serve<P: DriverPort, E: InputPin>(shared: &Shared, mut port: P, mut encoder: E) {
     loop {
         let Errand { number, request } = shared.driver.wait().await;
         port.to_text();
         match request {
-            DriverRequest::Align => {
-                let ended = select(over(shared, number), align(shared, &mut port, &mut encoder)).await;
-                if let Either::Second(result) = ended {
+            DriverRequest::Align => match select(over(shared, number), align(shared, &mut port, &mut encoder)).await {
+                Either::First(()) => come_to_rest(shared, &mut port).await,
+                Either::Second(result) => {
                     if result.is_ok() {
                         port.to_hardware();
                     }
+                    shared.driver_rests();
                     shared.command(Command::AlignEnded(number, result)).await;
                 }
-            }
+            },
             DriverRequest::Passthrough(line) => {
                 let passing = with_timeout(Duration::from_millis(PASSTHROUGH_MS), pass(shared, &mut port, &line));
-                // Stopping, or running out of time, ends the capture; what the driver does meanwhile is its own.
-                let _ = select(over(shared, number), passing).await;
+                match select(over(shared, number), passing).await {
+                    Either::First(()) => {}
+                    Either::Second(Ok(Ok(()))) => {}
+                    Either::Second(Ok(Err(Silent))) => {
+                        shared.log("the driver line was ended: the board does not answer")
+                    }
+                    Either::Second(Err(_)) => shared.log("the driver line was ended after a minute"),
+                }
+                come_to_rest(shared, &mut port).await;
                 shared.command(Command::PassthroughEnded(number)).await;
             }
         }
@@ -53,6 +67,23 @@ async fn over(shared: &Shared, number: u32) {
     while shared.errand() == number {
         Timer::after(Duration::from_millis(5)).await;
     }
+}
+
+/// Ends what was being written, and waits until the edges have ceased.
+async fn come_to_rest<P: DriverPort>(shared: &Shared, port: &mut P) {
+    // A line that was cut off must not become the beginning of the next; what is left of it moves no farther than the whole.
+    let _ = port.write_all(b"\r\n").await;
+    let mut edges = shared.encoder.edges();
+    loop {
+        Timer::after(Duration::from_millis(STANDSTILL_MS)).await;
+        let now = shared.encoder.edges();
+        if now == edges {
+            break;
+        }
+        edges = now;
+    }
+    drain(port).await;
+    shared.driver_rests();
 }
 
 async fn align<P: DriverPort, E: InputPin>(shared: &Shared, port: &mut P, encoder: &mut E) -> Result<(), Failure> {
@@ -119,26 +150,73 @@ async fn collect<P: Read>(port: &mut P, first_ms: u32, quiet_ms: u32, total_ms: 
     reply
 }
 
-async fn pass<P: DriverPort>(shared: &Shared, port: &mut P, line: &str) {
+/// The driver board does not answer.
+struct Silent;
+
+/// Does what a line says, command by command, as the board would: the board itself gets the motion in pieces, each followed by
+/// a reading of the sensor, whose reply says that the piece is done.
+async fn pass<P: DriverPort>(shared: &Shared, port: &mut P, line: &str) -> Result<(), Silent> {
     drain(port).await;
-    let _ = port.write_all(line.as_bytes()).await;
-    let _ = port.write_all(b"\r\n").await;
-    let mut buffer = [0u8; 64];
-    let mut edges = shared.encoder.edges();
-    loop {
-        match with_timeout(Duration::from_millis(STANDSTILL_MS), port.read(&mut buffer)).await {
-            Ok(Ok(length)) => {
-                let piece = Vec::from_slice(buffer.get(..length).unwrap_or_default()).unwrap_or_default();
-                shared.tell(Event::DriverReply(piece));
-            }
-            Ok(Err(_)) => {}
-            Err(_) => {
-                let now = shared.encoder.edges();
-                if now == edges {
-                    return;
+    // The supervisor has parsed it before.
+    let line = driver::parse(line).unwrap_or_default();
+    let repeats = line.iter().find_map(|command| if let Text::Repeat(times) = command { Some(*times) } else { None });
+    for _ in 0..repeats.unwrap_or(1) {
+        for &command in &line {
+            match command {
+                Text::Microsteps { count, back } => step(port, count, back).await?,
+                Text::SensorReport => {
+                    let reply = ask(port, &[Text::SensorReport], 1).await?;
+                    shared.tell(Event::DriverReply(reply));
                 }
-                edges = now;
+                Text::StopWhen { .. } => {
+                    // As in the thesis's own line: the second reading comes unless the condition ends the repetition.
+                    let twice = [Text::SensorReport, command, Text::Repeat(2)];
+                    let reply = ask(port, &twice, 2).await?;
+                    if lines(&reply) < 2 {
+                        return Ok(());
+                    }
+                }
+                Text::HardwareMode => {
+                    send(port, &Line::from_slice(&[command]).unwrap_or_default()).await;
+                    return Ok(());
+                }
+                Text::Repeat(_) => {}
             }
         }
     }
+    Ok(())
+}
+
+/// So many microsteps, a line's worth at a time.
+async fn step<P: DriverPort>(port: &mut P, count: u16, back: bool) -> Result<(), Silent> {
+    let mut left = count;
+    while left > 0 {
+        let count = left.min(LINE_MICROSTEPS);
+        ask(port, &[Text::Microsteps { count, back }, Text::SensorReport], 1).await?;
+        left -= count;
+    }
+    Ok(())
+}
+
+/// Sends a line and gives its reply, of so many lines at most.
+async fn ask<P: DriverPort>(port: &mut P, commands: &[Text], most_lines: usize) -> Result<Vec<u8, 64>, Silent> {
+    send(port, &Line::from_slice(commands).unwrap_or_default()).await;
+    let mut reply: Vec<u8, 64> = Vec::new();
+    let mut wait_ms = REPLY_MS;
+    let mut byte = [0u8; 1];
+    while lines(&reply) < most_lines && !reply.is_full() {
+        match with_timeout(Duration::from_millis(u64::from(wait_ms)), port.read(&mut byte)).await {
+            Ok(Ok(1)) => _ = reply.push(byte[0]),
+            Ok(_) => {}
+            Err(_) if reply.is_empty() => return Err(Silent),
+            Err(_) => break,
+        }
+        wait_ms = QUIET_MS;
+    }
+    Ok(reply)
+}
+
+/// Line ends in a reply.
+fn lines(reply: &[u8]) -> usize {
+    reply.iter().filter(|&&byte| byte == b'\n').count()
 }

@@ -11,7 +11,7 @@ use portable_atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use twum_shared::Fault;
 use twum_shared::alignment::Failure;
 use twum_shared::message::{
-    CaptureMode, Configuration, FaultReport, Mode, Refusal, RunEnd, SpeedRun, Status, TrackRun,
+    CaptureMode, Configuration, FaultReport, Losses, Mode, Pass, Refusal, RunEnd, SpeedRun, Status, TrackRun,
 };
 
 /// What the control interrupt is told.
@@ -25,29 +25,54 @@ pub enum Command {
     PassthroughEnded(u32),
 }
 
-/// Host commands the control interrupt decides on.
+/// Host commands the control interrupt decides on. Stopping is none of them: it has a slot of its own, [`Shared::ask_stop`].
 #[derive(Clone, Debug)]
 pub enum Request {
     /// Say who and how the device is.
     Identify,
+    /// Give a pass.
+    GivePass(Asked),
     /// Set the configuration.
     Configure(Configuration),
     /// Align.
-    Align,
-    /// Allow runs.
-    Arm,
+    Align(Pass),
+    /// Allow a session's runs, and give it a pass.
+    Arm(Asked),
     /// Run at constant duty.
-    Speed(SpeedRun),
+    Speed(Pass, SpeedRun),
     /// Track a reference.
-    Track(TrackRun),
+    Track(Pass, TrackRun),
     /// Choose the capture streams.
     Capture(CaptureMode),
     /// Pass a line to the driver board.
-    Driver(String<64>),
-    /// Stop and clear.
-    Stop,
+    Driver(Pass, String<64>),
     /// Restart the device.
     Reboot,
+}
+
+impl Request {
+    /// Whether it sets the motor in motion, or leads there.
+    const fn may_move(&self) -> bool {
+        matches!(self, Self::Align(_) | Self::Arm(_) | Self::Speed(..) | Self::Track(..) | Self::Driver(..))
+    }
+}
+
+/// Who asked for a pass, and when: the µs at which a frame arrives do not repeat, and so neither does the pass.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked {
+    /// The session.
+    pub token: u32,
+    /// Device time, µs.
+    pub heard_us: u64,
+}
+
+/// A stop, as it was asked for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stop {
+    /// Sequence of the host's frame.
+    pub of: u32,
+    /// Whether a latched fault is cleared too.
+    pub clear_fault: bool,
 }
 
 /// What the control interrupt tells the host, through the transmit task.
@@ -75,6 +100,8 @@ pub enum Event {
     DriverDone,
     /// A line for people.
     Log(String<96>),
+    /// A session's pass.
+    Pass(Pass),
 }
 
 /// What the driver task is asked to do, under the errand it was given.
@@ -103,6 +130,8 @@ pub struct Shared {
     pub(crate) events: Mailbox<Event, 24>,
     pub(crate) driver: Signal<CriticalSectionRawMutex, Errand>,
     pub(crate) status: Signal<CriticalSectionRawMutex, Status>,
+    stop: Signal<CriticalSectionRawMutex, Stop>,
+    stopped: Signal<CriticalSectionRawMutex, u32>,
     /// Signalled when the board is to restart itself; the motor is already off.
     pub reboot: Signal<CriticalSectionRawMutex, ()>,
     keep: Signal<CriticalSectionRawMutex, Configuration>,
@@ -110,12 +139,16 @@ pub struct Shared {
     keeping: AtomicBool,
     requested_fault: AtomicU8,
     errand: AtomicU32,
+    driver_busy: AtomicBool,
+    holder: AtomicU32,
     host_frames: AtomicU32,
     bad_frames: AtomicU32,
     ticks: AtomicU32,
     transmitted: AtomicU32,
-    lost_samples: AtomicU32,
+    lost_ticks: AtomicU32,
+    lost_words: AtomicU32,
     lost_edges: AtomicU32,
+    lost_others: AtomicU32,
 }
 
 impl Default for Shared {
@@ -133,18 +166,24 @@ impl Shared {
             events: Mailbox::new(),
             driver: Signal::new(),
             status: Signal::new(),
+            stop: Signal::new(),
+            stopped: Signal::new(),
             reboot: Signal::new(),
             keep: Signal::new(),
             keeper: AtomicBool::new(false),
             keeping: AtomicBool::new(false),
             requested_fault: AtomicU8::new(0),
             errand: AtomicU32::new(0),
+            driver_busy: AtomicBool::new(false),
+            holder: AtomicU32::new(0),
             host_frames: AtomicU32::new(0),
             bad_frames: AtomicU32::new(0),
             ticks: AtomicU32::new(0),
             transmitted: AtomicU32::new(0),
-            lost_samples: AtomicU32::new(0),
+            lost_ticks: AtomicU32::new(0),
+            lost_words: AtomicU32::new(0),
             lost_edges: AtomicU32::new(0),
+            lost_others: AtomicU32::new(0),
         }
     }
 
@@ -165,8 +204,48 @@ impl Shared {
     pub(crate) fn tell(&self, event: Event) {
         if self.events.push(event).is_err() {
             self.request_fault(Fault::QueueOverflow);
-            self.lost_samples.fetch_add(1, Ordering::Relaxed);
+            self.lose_other();
         }
+    }
+
+    /// Asks for a stop at the next tick, ahead of every command, and takes back the commands that came before it and were not
+    /// looked at yet. Called where commands come in, so that none overtakes a stop. There is always room: a second stop
+    /// takes the first one's place, and clears a fault if either would.
+    pub(crate) fn ask_stop(&self, stop: Stop) {
+        for _ in 0..self.commands.len() {
+            match self.commands.pull() {
+                Some(Command::Host(of, request)) if request.may_move() => {
+                    self.tell(Event::Nack(of, Refusal::Overtaken))
+                }
+                // There is room: this one just left.
+                Some(other) => _ = self.commands.push(other),
+                None => break,
+            }
+        }
+        let clear_fault = stop.clear_fault || self.stop.try_take().is_some_and(|first| first.clear_fault);
+        self.stop.signal(Stop { clear_fault, ..stop });
+    }
+
+    pub(crate) fn take_stop(&self) -> Option<Stop> {
+        self.stop.try_take()
+    }
+
+    /// Acknowledges a stop; the acknowledgement waits behind nothing.
+    pub(crate) fn have_stopped(&self, of: u32) {
+        self.stopped.signal(of);
+    }
+
+    pub(crate) fn take_stopped(&self) -> Option<u32> {
+        self.stopped.try_take()
+    }
+
+    /// The session that set the motor in motion, or may; zero for none.
+    pub(crate) fn holder(&self) -> u32 {
+        self.holder.load(Ordering::Acquire)
+    }
+
+    pub(crate) fn set_holder(&self, token: u32) {
+        self.holder.store(token, Ordering::Release);
     }
 
     pub(crate) fn log(&self, text: &str) {
@@ -215,12 +294,24 @@ impl Shared {
 
     /// Ends the driver task's errand, whether it has begun or not.
     pub(crate) fn end_errand(&self) {
-        self.driver.reset();
+        if self.driver.try_take().is_some() {
+            self.driver_rests();
+        }
         self.errand.fetch_add(1, Ordering::AcqRel);
     }
 
     pub(crate) fn begin_errand(&self, request: DriverRequest) {
+        self.driver_busy.store(true, Ordering::Release);
         self.driver.signal(Errand { number: self.errand(), request });
+    }
+
+    /// Whether the driver board may still move the rotor by itself.
+    pub(crate) fn is_driver_busy(&self) -> bool {
+        self.driver_busy.load(Ordering::Acquire)
+    }
+
+    pub(crate) fn driver_rests(&self) {
+        self.driver_busy.store(false, Ordering::Release);
     }
 
     pub(crate) fn host_spoke(&self) {
@@ -255,20 +346,43 @@ impl Shared {
         self.transmitted.load(Ordering::Relaxed)
     }
 
-    pub(crate) fn lose_sample(&self) {
-        self.lost_samples.fetch_add(1, Ordering::Relaxed);
+    pub(crate) fn lose_tick(&self) {
+        self.lost_ticks.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn lose_word(&self) {
+        self.lost_words.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(crate) fn lose_edge(&self) {
         self.lost_edges.fetch_add(1, Ordering::Relaxed);
     }
 
+    pub(crate) fn lose_other(&self) {
+        self.lost_others.fetch_add(1, Ordering::Relaxed);
+    }
+
     pub(crate) fn lost_edges(&self) -> u32 {
         self.lost_edges.load(Ordering::Relaxed)
     }
 
+    pub(crate) fn losses(&self) -> Losses {
+        Losses {
+            ticks: self.lost_ticks.load(Ordering::Relaxed),
+            words: self.lost_words.load(Ordering::Relaxed),
+            edges: self.lost_edges(),
+            others: self.lost_others.load(Ordering::Relaxed),
+        }
+    }
+
     pub(crate) fn lost_items(&self) -> u32 {
-        self.lost_samples.load(Ordering::Relaxed).wrapping_add(self.lost_edges())
+        let Losses { ticks, words, edges, others } = self.losses();
+        ticks.wrapping_add(words).wrapping_add(edges).wrapping_add(others)
+    }
+
+    /// Whether a session holds the motor in this mode, and has to be heard.
+    pub(crate) const fn is_held(mode: Mode) -> bool {
+        matches!(mode, Mode::Aligning | Mode::Passthrough | Mode::Armed | Mode::Running)
     }
 
     /// Whether a mode lets the motor move in hardware mode.

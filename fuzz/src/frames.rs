@@ -84,14 +84,14 @@ fn use_by_board(message: &HostMessage) {
                 assert!(out.on_steps <= configuration.control.duty_steps);
             }
         }
-        HostMessage::Track(run) => {
+        HostMessage::Track { run, .. } => {
             let bounded = run.reference.validate().is_ok();
             for elapsed_us in [0, 1, 499_999, 1 << 20, u64::from(u32::MAX), u64::from(u32::MAX) * 16, u64::MAX] {
                 let target = run.reference.at(elapsed_us);
                 assert!(!bounded || target.position.unsigned_abs() <= 1 << 24, "{target:?} of {:?}", run.reference);
             }
         }
-        HostMessage::Driver(line) => {
+        HostMessage::Driver { line, .. } => {
             let _ = driver::parse(line);
         }
         _ => {}

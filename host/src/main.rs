@@ -4,7 +4,7 @@ mod cli;
 
 use clap::Parser;
 use std::any::Any;
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Write};
 use std::panic::{self, catch_unwind, resume_unwind};
 use std::process::ExitCode;
 
@@ -18,16 +18,20 @@ fn main() -> ExitCode {
     match catch_unwind(|| cli::Cli::parse().run()) {
         Ok(Ok(code)) => code,
         Ok(Err(error)) if error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == ErrorKind::BrokenPipe) => {
-            ExitCode::SUCCESS
+            cli::exit::decided()
         }
         Ok(Err(error)) => {
-            eprintln!("error: {error:#}");
-            ExitCode::from(2)
+            // A terminal that is gone reads no message.
+            let _ = writeln!(std::io::stderr(), "error: {error:#}");
+            ExitCode::from(cli::exit::code_of(&error))
         }
-        Err(payload) if is_closed_stdout(payload.as_ref()) => ExitCode::SUCCESS,
+        Err(payload) if is_closed_stdout(payload.as_ref()) => cli::exit::decided(),
         Err(payload) => resume_unwind(payload),
     }
 }
+
+/// A pipe without a reader, and a terminal whose window was closed.
+const CLOSED: [&str; 2] = ["os error 32", "os error 5"];
 
 /// Whether a panic is `println!` finding its reader gone (`twum ... | head`): no failure of the command.
 ///
@@ -36,5 +40,5 @@ fn main() -> ExitCode {
 fn is_closed_stdout(payload: &(dyn Any + Send)) -> bool {
     payload
         .downcast_ref::<String>()
-        .is_some_and(|m| m.starts_with("failed printing to stdout") && m.contains("os error 32"))
+        .is_some_and(|m| m.starts_with("failed printing to std") && CLOSED.iter().any(|code| m.contains(code)))
 }

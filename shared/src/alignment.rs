@@ -10,6 +10,8 @@ use crate::driver::{self, Command, Line};
 pub const THRESHOLD_MV: u16 = 2100;
 /// Microsteps tried in one search (thesis C.1): more than an encoder edge is wide.
 pub const SEARCH_MICROSTEPS: u16 = 100;
+/// Lines that a search is given in: the board cannot be stopped within a line.
+const SEARCH_LINES: u16 = SEARCH_MICROSTEPS / driver::LINE_MICROSTEPS;
 /// Searches before giving up.
 pub const MAX_ATTEMPTS: u8 = 4;
 
@@ -64,7 +66,7 @@ pub enum Failure {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Level,
-    Search,
+    Search { level: bool, lines_left: u16 },
     Settle,
     StepBack { level: bool },
     StepForward { confirmed: bool },
@@ -93,19 +95,15 @@ impl Alignment {
         self.heard |= matches!(event, Event::Reply(_));
         match (self.stage, event) {
             (Stage::Level, Event::Reply(reply)) => match driver::sensor_level(reply) {
-                Ok(level) => {
-                    self.stage = Stage::Search;
-                    let commands = [
-                        Command::Microsteps { count: 1, back: false },
-                        Command::SensorReport,
-                        Command::StopWhen { above: !level, millivolts: THRESHOLD_MV },
-                        Command::Repeat(SEARCH_MICROSTEPS),
-                    ];
-                    Action::Ask { line: line(&commands), first_ms: 500, quiet_ms: 300, total_ms: 20_000 }
-                }
+                Ok(level) => self.search(level, SEARCH_LINES),
                 Err(_) => self.attempt(),
             },
-            (Stage::Search, Event::Reply(_)) => {
+            (Stage::Search { level, lines_left: lines_left @ 1.. }, Event::Reply(reply))
+                if driver::sensor_level(reply) == Ok(level) =>
+            {
+                self.search(level, lines_left)
+            }
+            (Stage::Search { .. }, Event::Reply(_)) => {
                 // The pin is read with the driver at rest: the search's own replies say nothing more of it.
                 self.stage = Stage::Settle;
                 Action::Do { line: line(&[Command::SensorReport]), wait_ms: 100 }
@@ -128,6 +126,18 @@ impl Alignment {
             }
             _ => self.attempt(),
         }
+    }
+
+    /// Microsteps towards the other level, a line's worth.
+    fn search(&mut self, level: bool, lines: u16) -> Action {
+        self.stage = Stage::Search { level, lines_left: lines.saturating_sub(1) };
+        let commands = [
+            Command::Microsteps { count: 1, back: false },
+            Command::SensorReport,
+            Command::StopWhen { above: !level, millivolts: THRESHOLD_MV },
+            Command::Repeat(driver::LINE_MICROSTEPS),
+        ];
+        Action::Ask { line: line(&commands), first_ms: 500, quiet_ms: 300, total_ms: 20_000 }
     }
 
     fn attempt(&mut self) -> Action {
@@ -160,11 +170,22 @@ mod tests {
 
     #[test]
     fn both_levels_search_for_the_other() {
-        for (reply, search) in [(b"0 \r\n", "u1,ap,ADC>2100?S,x100"), (b"1 \r\n", "u1,ap,ADC<2100?S,x100")] {
+        for (reply, search) in [(b"0 \r\n", "u1,ap,ADC>2100?S,x20"), (b"1 \r\n", "u1,ap,ADC<2100?S,x20")] {
             let (mut alignment, first) = Alignment::start();
             assert_eq!(text(&first), "ap");
             assert_eq!(text(&alignment.next(Event::Reply(reply))), search);
         }
+    }
+
+    #[test]
+    fn a_search_is_the_thesis_s_hundred_microsteps_in_lines_that_can_be_stopped_between() {
+        let (mut alignment, _) = Alignment::start();
+        let mut action = alignment.next(Event::Reply(b"0 \r\n"));
+        for _ in 0..SEARCH_MICROSTEPS / driver::LINE_MICROSTEPS {
+            assert_eq!(text(&action), "u1,ap,ADC>2100?S,x20");
+            action = alignment.next(Event::Reply(b"0 \r\n"));
+        }
+        assert_eq!(text(&action), "ap");
     }
 
     #[test]

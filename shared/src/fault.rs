@@ -12,8 +12,10 @@ pub enum Fault {
     /// The host fell silent while the motor was armed or running.
     #[error("no command from the host within the timeout; check the cable, then stop and arm again")]
     CommandTimeout,
-    /// Driven above the configured duty for the configured time without an encoder edge.
-    #[error("the motor was driven and no encoder edge came; check rotor, driver supply and encoder wire")]
+    /// Driven, and the encoder showed less than any motor would have turned under that drive.
+    #[error(
+        "the motor was driven and the encoder showed no turning, or too little; check rotor, driver supply and encoder wire"
+    )]
     EncoderStall,
     /// More encoder edges in a tick than a motor can make.
     #[error("the encoder chatters; check its wiring, ground and threshold")]

@@ -9,7 +9,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Version of the protocol. Another version is refused at the first frame.
-pub const PROTOCOL_VERSION: u8 = 1;
+pub const PROTOCOL_VERSION: u8 = 2;
 /// Longest frame before COBS, bytes.
 pub const MAX_PLAIN: usize = 600;
 /// Longest frame on the line, its separator included, bytes.
@@ -97,11 +97,34 @@ pub fn encode<'a, M: Message>(
     out.get(..=encoded).ok_or(TooLong)
 }
 
-/// Decodes the bytes between two separators, in place.
+/// An intact frame whose message has not been looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Opened<'a> {
+    /// Protocol version.
+    pub version: u8,
+    /// [`Message::KIND`] of its message.
+    pub kind: u8,
+    /// What it carries beside the message.
+    pub header: Header,
+    /// The message in postcard.
+    pub body: &'a [u8],
+}
+
+impl<'a> Opened<'a> {
+    /// The message, if it is one of this type and nothing follows it.
+    pub fn message<T: serde::Deserialize<'a>>(&self) -> Option<T> {
+        match postcard::take_from_bytes(self.body) {
+            Ok((message, [])) => Some(message),
+            _ => None,
+        }
+    }
+}
+
+/// Opens the bytes between two separators, in place: any version, any kind.
 ///
 /// # Errors
-/// Says why the bytes are not a frame of this kind.
-pub fn decode<M: Message>(block: &mut [u8]) -> Result<(Header, M), FrameError> {
+/// Says why the bytes are not a frame.
+pub fn open(block: &mut [u8]) -> Result<Opened<'_>, FrameError> {
     if block.len() >= MAX_ENCODED {
         return Err(FrameError::TooLong);
     }
@@ -113,17 +136,23 @@ pub fn decode<M: Message>(block: &mut [u8]) -> Result<(Header, M), FrameError> {
         return Err(FrameError::Checksum);
     }
     let [version, kind, s0, s1, s2, s3, time @ ..] = *head;
-    if version != PROTOCOL_VERSION {
-        return Err(FrameError::Version(version));
-    }
-    if kind != M::KIND {
-        return Err(FrameError::Kind(kind));
-    }
     let header = Header { sequence: u32::from_le_bytes([s0, s1, s2, s3]), time_us: u64::from_le_bytes(time) };
-    match postcard::take_from_bytes(body) {
-        Ok((message, [])) => Ok((header, message)),
-        _ => Err(FrameError::Message),
+    Ok(Opened { version, kind, header, body })
+}
+
+/// Decodes the bytes between two separators, in place.
+///
+/// # Errors
+/// Says why the bytes are not a frame of this kind.
+pub fn decode<M: Message>(block: &mut [u8]) -> Result<(Header, M), FrameError> {
+    let opened = open(block)?;
+    if opened.version != PROTOCOL_VERSION {
+        return Err(FrameError::Version(opened.version));
     }
+    if opened.kind != M::KIND {
+        return Err(FrameError::Kind(opened.kind));
+    }
+    opened.message().map(|message| (opened.header, message)).ok_or(FrameError::Message)
 }
 
 /// Cuts a byte stream at its separators and decodes what lies between. Memory is bounded: what is longer than any frame is
@@ -249,12 +278,15 @@ mod tests {
             DeviceMessage::DriverReply(core::iter::repeat_n(0u8, 64).collect()),
             DeviceMessage::DriverDone,
             DeviceMessage::Log("x".repeat(96).as_str().try_into().unwrap()),
+            DeviceMessage::Pass(Pass { token: u32::MAX, nonce: u32::MAX }),
+            DeviceMessage::Losses(Losses { ticks: u32::MAX, words: u32::MAX, edges: u32::MAX, others: u32::MAX }),
         ]
     }
 
     fn host_messages() -> Vec<HostMessage> {
         let point = WayPoint { position: i32::MIN, duration_us: u32::MAX };
         let path = Reference::Path { start: i32::MIN, way_points: core::iter::repeat_n(point, 16).collect() };
+        let pass = Pass { token: u32::MAX, nonce: u32::MAX };
         let configuration = Configuration {
             control: ConfigSpec::THESIS,
             limits: Limits::DEFAULT,
@@ -264,16 +296,20 @@ mod tests {
         };
         std::vec![
             HostMessage::Hello,
-            HostMessage::Keepalive,
+            HostMessage::Keepalive { token: u32::MAX },
             HostMessage::Configure(configuration),
-            HostMessage::Align,
-            HostMessage::Arm,
-            HostMessage::Speed(SpeedRun { duty: Duty::FULL, direction: Direction::Cw, duration_ms: u32::MAX }),
-            HostMessage::Track(TrackRun { reference: path, duration_ms: u32::MAX }),
+            HostMessage::Align(pass),
+            HostMessage::Arm { token: u32::MAX },
+            HostMessage::Speed {
+                pass,
+                run: SpeedRun { duty: Duty::FULL, direction: Direction::Cw, duration_ms: u32::MAX },
+            },
+            HostMessage::Track { pass, run: TrackRun { reference: path, duration_ms: u32::MAX } },
             HostMessage::Capture(CaptureMode { bits: true, edges: true, control: true }),
-            HostMessage::Driver("u1,ap,ADC>2100?S,x100".try_into().unwrap()),
-            HostMessage::Stop,
+            HostMessage::Driver { pass, line: "u1,ap,ADC>2100?S,x100".try_into().unwrap() },
+            HostMessage::Stop { clear_fault: true },
             HostMessage::Reboot,
+            HostMessage::AskPass { token: u32::MAX },
         ]
     }
 
@@ -301,8 +337,11 @@ mod tests {
         let mut block = std::vec![0; cobs::max_encoding_length(plain.len()) + 1];
         let encoded = cobs::try_encode(&plain, &mut block).unwrap();
         block.truncate(encoded + 1);
-        assert_eq!(decoded::<DeviceMessage>(&block), [Err(FrameError::Version(2))]);
-        assert_eq!(decoded::<DeviceMessage>(&framed(1, &HostMessage::Stop)), [Err(FrameError::Kind(b'H'))]);
+        assert_eq!(decoded::<DeviceMessage>(&block), [Err(FrameError::Version(PROTOCOL_VERSION + 1))]);
+        assert_eq!(
+            decoded::<DeviceMessage>(&framed(1, &HostMessage::Stop { clear_fault: false })),
+            [Err(FrameError::Kind(b'H'))]
+        );
     }
 
     #[test]

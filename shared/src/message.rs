@@ -1,5 +1,6 @@
 //! What host and device say to each other. Serialised with postcard inside [`crate::frame`]s; a change of any type here
-//! is a change of [`crate::frame::PROTOCOL_VERSION`].
+//! is a change of [`crate::frame::PROTOCOL_VERSION`]. Recordings hold frames: device messages and what they are made of only
+//! ever gain variants at their end, so that those of every version read as they are.
 
 use crate::encoder::{CountSign, Edge};
 use crate::reference::{Reference, ReferenceError};
@@ -69,31 +70,71 @@ pub struct TrackRun {
     pub duration_ms: u32,
 }
 
+/// What a command that sets the motor in motion has to carry: who asks, and the number the device has just given to that
+/// session. A pass works once, so bytes that are replayed start nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pass {
+    /// The session's own number, chosen by the host, never zero.
+    pub token: u32,
+    /// The device's number, another one each time.
+    pub nonce: u32,
+}
+
 /// Host to device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum HostMessage {
     /// Opens the conversation; answered with [`DeviceMessage::Hello`].
     Hello,
-    /// Says that the host is alive; not acknowledged.
-    Keepalive,
+    /// Says that the session that set the motor in motion is alive; not acknowledged. Of another session, or with a sequence
+    /// that is not newer than the one before, it says nothing.
+    Keepalive {
+        /// The session.
+        token: u32,
+    },
     /// Sets the configuration. Refused unless the motor is idle.
     Configure(Configuration),
     /// Aligns the motor. Refused unless idle and in the driver's text mode.
-    Align,
-    /// Allows runs. Refused unless idle, configured and aligned.
-    Arm,
+    Align(Pass),
+    /// Allows this session's runs. Refused unless idle, configured and aligned. Answered with [`DeviceMessage::Pass`] too.
+    Arm {
+        /// The session.
+        token: u32,
+    },
     /// Runs at constant duty. Refused unless armed.
-    Speed(SpeedRun),
+    Speed {
+        /// The pass given last.
+        pass: Pass,
+        /// The run.
+        run: SpeedRun,
+    },
     /// Tracks a reference. Refused unless armed.
-    Track(TrackRun),
+    Track {
+        /// The pass given last.
+        pass: Pass,
+        /// The run.
+        run: TrackRun,
+    },
     /// Chooses the capture streams.
     Capture(CaptureMode),
     /// Passes a line of text to the driver board. Refused unless idle and in the driver's text mode.
-    Driver(String<64>),
-    /// Stops the motor, clears a latched fault, disarms. Never refused.
-    Stop,
+    Driver {
+        /// The pass given last.
+        pass: Pass,
+        /// Commands of [`crate::driver`].
+        line: String<64>,
+    },
+    /// Stops the motor and disarms. From anyone, in any state, ahead of everything that waits, and never refused.
+    Stop {
+        /// Whether a latched fault is cleared too: a person's decision, never that of a command that runs the motor.
+        clear_fault: bool,
+    },
     /// Restarts the device. Refused unless idle or in fault.
     Reboot,
+    /// Asks for a pass; answered with [`DeviceMessage::Pass`]. Refused while another session holds the motor.
+    AskPass {
+        /// The session.
+        token: u32,
+    },
 }
 
 /// Why the device last started.
@@ -145,6 +186,8 @@ pub enum Mode {
     Running,
     /// A fault is latched.
     Fault,
+    /// A stop was taken; the driver board's own motion has not ceased yet.
+    Stopping,
 }
 
 /// Why a command was refused.
@@ -154,7 +197,7 @@ pub enum Refusal {
     #[error("not possible while {0:?}")]
     Mode(Mode),
     /// A fault is latched.
-    #[error("a fault is latched ({0}); stop first")]
+    #[error("{0:?} is latched: {0}; `twum stop` clears it")]
     Fault(Fault),
     /// No valid configuration was sent.
     #[error("no valid configuration; send one first")]
@@ -185,6 +228,15 @@ pub enum Refusal {
     /// The device is busy with the command before.
     #[error("the device is busy with the command before; try again")]
     Busy,
+    /// The pass is not the one that was given last, or was used.
+    #[error("it does not carry the pass this board gave last; nothing starts from an old or repeated command")]
+    Pass,
+    /// Another session holds the motor.
+    #[error("another program holds the motor; wait for its end, or stop it with `twum stop`")]
+    Held,
+    /// A stop came before the command was looked at.
+    #[error("a stop came before it")]
+    Overtaken,
 }
 
 /// How a run ended.
@@ -283,6 +335,19 @@ pub struct Status {
     pub bad_frames: u32,
 }
 
+/// Capture items lost since boot because a queue was full, by stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Losses {
+    /// Control ticks.
+    pub ticks: u32,
+    /// Words of 1 kHz samples.
+    pub words: u32,
+    /// Encoder edges.
+    pub edges: u32,
+    /// Events, and frames that could not be sent.
+    pub others: u32,
+}
+
 /// A fault, when it latched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FaultReport {
@@ -343,4 +408,8 @@ pub enum DeviceMessage {
     DriverDone,
     /// A line for people.
     Log(String<96>),
+    /// The pass for the session's next command that sets the motor in motion.
+    Pass(Pass),
+    /// What was lost, by stream; sent with the status when it has grown.
+    Losses(Losses),
 }

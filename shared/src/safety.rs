@@ -1,15 +1,17 @@
-//! Limits within which the motor may move. They travel with the configuration and are checked every control tick.
+//! Limits within which the motor may move. They travel with the configuration and are checked every control tick. Each is
+//! bounded from both sides: one that is too wide to stop a runaway in time is refused like one that limits nothing.
 
 use serde::{Deserialize, Serialize};
 
 /// Limits; a zero count or time is never "off": [`Limits::validate`] refuses it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Limits {
-    /// Silence of the host, while armed or running, that stops the motor, ms.
+    /// Silence of the session that holds the motor which stops it, ms.
     pub command_timeout_ms: u16,
-    /// Duty (1/32768ths) at and above which a standing encoder is a stall.
+    /// Duty (1/32768ths) for which `stall_ms` is meant. At any other duty the time is the one that gives the same product: it is
+    /// the drive that was given, duty times time, that has to have moved the rotor.
     pub stall_duty: u16,
-    /// How long a driven motor may go without an edge, ms.
+    /// How long a motor driven at `stall_duty` may go without an edge, ms.
     pub stall_ms: u16,
     /// Edges within one control tick above which the encoder chatters.
     pub chatter_edges: u8,
@@ -31,11 +33,15 @@ pub struct Limits {
     pub lost_items: u16,
 }
 
+/// No bound on the position lies farther out than where references end, counts.
+const FARTHEST: u32 = 1 << 24;
+
 impl Limits {
-    /// Limits for the 30 mm PCBMotor: 35 rpm at full drive is 233 counts/s, start-up overshoots to 48 rpm (320 counts/s).
+    /// Limits for the 30 mm PCBMotor: 35 rpm at full drive is 233 counts/s, start-up overshoots to 48 rpm (320 counts/s). A
+    /// stall is half drive for 500 ms, a quarter of a second of full drive, in which this motor turns by 52°, 72° at most.
     pub const DEFAULT: Self = Self {
         command_timeout_ms: 500,
-        stall_duty: 8192,
+        stall_duty: 16_384,
         stall_ms: 500,
         chatter_edges: 4,
         wrong_direction_counts: 8,
@@ -48,26 +54,31 @@ impl Limits {
         lost_items: 2_000,
     };
 
-    /// Checks that every limit limits.
+    /// Checks that every limit limits, and stops in time.
     ///
     /// # Errors
     /// Names the first that does not.
     pub fn validate(&self) -> Result<(), LimitsError> {
-        let positive = [
-            ("command_timeout_ms", self.command_timeout_ms != 0),
+        let within = [
+            // Two seconds of full speed are more than a turn.
+            ("command_timeout_ms", (1..=2_000).contains(&self.command_timeout_ms)),
             ("stall_duty", (1..=32_768).contains(&self.stall_duty)),
-            ("stall_ms", self.stall_ms != 0),
-            ("chatter_edges", self.chatter_edges != 0),
-            ("wrong_direction_counts", self.wrong_direction_counts != 0),
-            ("following_error_counts", self.following_error_counts != 0),
-            ("overspeed_counts_s", self.overspeed_counts_s != 0),
-            ("position_min", self.position_min <= 0),
-            ("position_max", self.position_max >= 0),
-            ("late_tick_us", self.late_tick_us != 0),
-            ("late_ticks", self.late_ticks != 0),
-            ("lost_items", self.lost_items != 0),
+            ("stall_ms", (1..=2_000).contains(&self.stall_ms)),
+            // 20 edges in the shortest period are 200 000 a second: no encoder, and more than the interrupt can serve.
+            ("chatter_edges", (1..=20).contains(&self.chatter_edges)),
+            // A quarter turn of a 400-edge encoder.
+            ("wrong_direction_counts", (1..=100).contains(&self.wrong_direction_counts)),
+            ("following_error_counts", (1..=FARTHEST).contains(&self.following_error_counts)),
+            // 30 times the motor's top speed.
+            ("overspeed_counts_s", (1..=10_000).contains(&self.overspeed_counts_s)),
+            ("position_min", (-(FARTHEST as i32)..=0).contains(&self.position_min)),
+            ("position_max", (0..=FARTHEST as i32).contains(&self.position_max)),
+            ("late_tick_us", (1..=1_000).contains(&self.late_tick_us)),
+            ("late_ticks", (1..=20).contains(&self.late_ticks)),
+            // 5 s of a default stream.
+            ("lost_items", (1..=10_000).contains(&self.lost_items)),
         ];
-        match positive.into_iter().find(|(_, limits)| !limits) {
+        match within.into_iter().find(|(_, limits)| !limits) {
             Some((name, _)) => Err(LimitsError(name)),
             None => Ok(()),
         }
@@ -84,23 +95,41 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_limits_are_valid_and_each_zero_is_refused() {
+    fn the_default_limits_are_valid_and_each_that_is_out_of_bounds_is_refused() {
         assert_eq!(Limits::DEFAULT.validate(), Ok(()));
         type Change = fn(&mut Limits);
-        let broken: [(Change, &str); 12] = [
+        let broken: [(Change, &str); 23] = [
             (|l| l.command_timeout_ms = 0, "command_timeout_ms"),
+            (|l| l.command_timeout_ms = 2_001, "command_timeout_ms"),
+            (|l| l.stall_duty = 0, "stall_duty"),
             (|l| l.stall_duty = 32_769, "stall_duty"),
             (|l| l.stall_ms = 0, "stall_ms"),
+            (|l| l.stall_ms = 2_001, "stall_ms"),
             (|l| l.chatter_edges = 0, "chatter_edges"),
+            (|l| l.chatter_edges = 21, "chatter_edges"),
             (|l| l.wrong_direction_counts = 0, "wrong_direction_counts"),
+            (|l| l.wrong_direction_counts = 101, "wrong_direction_counts"),
             (|l| l.following_error_counts = 0, "following_error_counts"),
+            (|l| l.following_error_counts = (1 << 24) + 1, "following_error_counts"),
             (|l| l.overspeed_counts_s = 0, "overspeed_counts_s"),
+            (|l| l.overspeed_counts_s = 10_001, "overspeed_counts_s"),
             (|l| l.position_min = 1, "position_min"),
+            (|l| l.position_min = i32::MIN, "position_min"),
             (|l| l.position_max = -1, "position_max"),
+            (|l| l.position_max = i32::MAX, "position_max"),
             (|l| l.late_tick_us = 0, "late_tick_us"),
-            (|l| l.late_ticks = 0, "late_ticks"),
+            (|l| l.late_tick_us = 1_001, "late_tick_us"),
+            (|l| l.late_ticks = 21, "late_ticks"),
             (|l| l.lost_items = 0, "lost_items"),
+            (|l| l.lost_items = 10_001, "lost_items"),
         ];
+        let mut widest = Limits::DEFAULT;
+        (widest.command_timeout_ms, widest.stall_duty, widest.stall_ms) = (2_000, 32_768, 2_000);
+        (widest.chatter_edges, widest.wrong_direction_counts, widest.following_error_counts) = (20, 100, FARTHEST);
+        (widest.overspeed_counts_s, widest.lost_items) = (10_000, 10_000);
+        (widest.position_min, widest.position_max) = (-(FARTHEST as i32), FARTHEST as i32);
+        (widest.late_tick_us, widest.late_ticks) = (1_000, 20);
+        assert_eq!(widest.validate(), Ok(()));
         for (change, name) in broken {
             let mut limits = Limits::DEFAULT;
             change(&mut limits);

@@ -1,26 +1,28 @@
 //! The control interrupt: supervisor, limits, loop and capture, in one bounded call every control period.
 
+mod capture;
 mod monitor;
+mod stall;
 
 use crate::output::{Output, OutputStage};
-use crate::queues::{ControlEnds, TickRecord, WordRecord};
-use crate::shared::{Command, DriverRequest, Event, Request, Shared};
+use crate::queues::ControlEnds;
+use crate::shared::{Asked, Command, DriverRequest, Event, Request, Shared, Stop};
+use capture::Bits;
 use monitor::{Monitor, Seen};
 use twum_shared::alignment::Failure;
-use twum_shared::bits::BitPacker;
 use twum_shared::message::{
-    CaptureMode, Configuration, ControlSample, FaultReport, Mode, Refusal, ResetCause, RunEnd, SpeedRun, Status,
-    TrackRun,
+    CaptureMode, Configuration, FaultReport, Mode, Pass, Refusal, ResetCause, RunEnd, SpeedRun, Status, TrackRun,
 };
-use twum_shared::step::{self, Config, Inputs, Outputs, State};
+use twum_shared::safety::Limits;
+use twum_shared::step::{self, Config, Inputs, State};
 use twum_shared::{Fault, driver};
 
 /// Longest run, ms.
 const MAX_DURATION_MS: u32 = 3_600_000;
+/// The control period before there is a configuration, µs.
+const UNCONFIGURED_PERIOD_US: u32 = 500;
 /// Status is published every so many µs.
 const STATUS_US: u64 = 100_000;
-/// 1 kHz: the bit capture takes a sample when this much time has passed since the one before.
-const BIT_PERIOD_US: u64 = 1_000;
 
 /// What drives the motor in [`Mode::Running`].
 #[derive(Debug)]
@@ -45,15 +47,6 @@ struct Configured {
     config: Config,
 }
 
-/// A timed bit capture.
-#[derive(Debug, Default)]
-struct Bits {
-    packer: BitPacker,
-    samples: u64,
-    word_us: u64,
-    next_us: u64,
-}
-
 /// The control interrupt's state. One per board; its [`Control::tick`] is the only caller of the output.
 pub struct Control<'a, S: OutputStage> {
     shared: &'a Shared,
@@ -76,6 +69,11 @@ pub struct Control<'a, S: OutputStage> {
     next_status_us: u64,
     lost_in_a_row: u16,
     lost_edges_seen: u32,
+    /// Of so many blocks of ticks, one is captured.
+    every_block: u32,
+    /// The pass that was given last and not used.
+    pass: Option<Pass>,
+    nonce: u32,
 }
 
 impl<'a, S: OutputStage> Control<'a, S> {
@@ -107,12 +105,15 @@ impl<'a, S: OutputStage> Control<'a, S> {
             next_status_us: 0,
             lost_in_a_row: 0,
             lost_edges_seen: 0,
+            every_block: 1,
+            pass: None,
+            nonce: 0,
         }
     }
 
     /// The control period the board's timer should have, µs.
     pub fn period_us(&self) -> u32 {
-        self.configured.as_ref().map_or(500, |configured| configured.message.control.period_us)
+        self.configured.as_ref().map_or(UNCONFIGURED_PERIOD_US, |configured| configured.message.control.period_us)
     }
 
     /// The supervisor's state.
@@ -128,6 +129,10 @@ impl<'a, S: OutputStage> Control<'a, S> {
         self.ticks += 1;
         self.shared.ticked();
 
+        if let Some(stop) = self.shared.take_stop() {
+            self.stop(stop, now_us);
+        }
+        self.settle(now_us);
         self.observe(now_us, late_us, position);
         for _ in 0..2 {
             if let Some(command) = self.shared.commands.pull() {
@@ -157,10 +162,14 @@ impl<'a, S: OutputStage> Control<'a, S> {
             self.lost_in_a_row = self.lost_in_a_row.saturating_add(1);
             self.lost_edges_seen = lost_edges;
         }
-        let Some(configured) = &self.configured else { return };
-        let limits = &configured.message.limits;
+        // Alignment needs no configuration, but a host that is there.
+        let (limits, period_us) = match &self.configured {
+            Some(configured) => (&configured.message.limits, configured.message.control.period_us),
+            None => (&Limits::DEFAULT, UNCONFIGURED_PERIOD_US),
+        };
         self.late_ticks = self.late_ticks.saturating_add(u32::from(late_us > u64::from(limits.late_tick_us)));
         let seen = Seen {
+            held: Shared::is_held(self.mode),
             live: Shared::is_live(self.mode),
             running: self.mode == Mode::Running,
             late_us,
@@ -171,7 +180,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
             direction: self.output.direction(),
             lost_in_a_row: self.lost_in_a_row,
         };
-        if let Some(fault) = self.monitor.check(limits, configured.message.control.period_us, seen) {
+        if let Some(fault) = self.monitor.check(limits, period_us, seen) {
             self.latch(fault, now_us, position);
         }
     }
@@ -184,7 +193,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
         self.end_run(RunEnd::Fault(fault), now_us);
         self.fault = Some(fault);
         self.mode = Mode::Fault;
-        self.shared.end_errand();
+        self.release();
         self.shared.tell(Event::Fault(FaultReport { fault, off_us: now_us, position }));
     }
 
@@ -206,6 +215,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
             Command::PassthroughEnded(errand) => {
                 if errand == self.shared.errand() && self.mode == Mode::Passthrough {
                     self.mode = Mode::Idle;
+                    self.release();
                     self.shared.tell(Event::DriverDone);
                 }
             }
@@ -222,6 +232,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
                 self.shared.encoder.set_unsigned(false);
                 self.monitor.reset();
                 (self.aligned, self.hardware_mode, self.mode) = (true, true, Mode::Idle);
+                self.release();
                 self.shared.tell(Event::Aligned);
             }
             Err(Failure::DriverSilent) => self.latch(Fault::DriverSilent, now_us, position),
@@ -231,10 +242,6 @@ impl<'a, S: OutputStage> Control<'a, S> {
 
     fn decide(&mut self, request: Request, now_us: u64, position: i32) -> Result<(), Refusal> {
         match request {
-            Request::Stop => {
-                self.stop(now_us);
-                Ok(())
-            }
             Request::Capture(mode) => {
                 self.set_capture(mode, now_us);
                 Ok(())
@@ -245,57 +252,94 @@ impl<'a, S: OutputStage> Control<'a, S> {
                 Ok(())
             }
             _ if self.fault.is_some() => Err(self.fault.map_or(Refusal::Busy, Refusal::Fault)),
+            Request::GivePass(asked) => self.give_pass(asked, now_us),
             Request::Configure(message) => self.configure(message),
-            Request::Align => {
-                self.require(Mode::Idle)?;
-                self.text_mode()?;
-                self.shared.begin_errand(DriverRequest::Align);
-                self.mode = Mode::Aligning;
-                Ok(())
-            }
-            Request::Driver(line) => {
-                self.require(Mode::Idle)?;
-                self.text_mode()?;
+            Request::Align(pass) => self.begin_text(pass, DriverRequest::Align, Mode::Aligning),
+            Request::Driver(pass, line) => {
                 driver::parse(&line).map_err(|_| Refusal::DriverLine)?;
-                self.shared.begin_errand(DriverRequest::Passthrough(line));
-                self.mode = Mode::Passthrough;
-                Ok(())
+                self.begin_text(pass, DriverRequest::Passthrough(line), Mode::Passthrough)
             }
-            Request::Arm => {
-                self.require(Mode::Idle)?;
-                if self.configured.is_none() {
-                    return Err(Refusal::NotConfigured);
-                }
-                if self.shared.is_keeping() {
-                    return Err(Refusal::Busy);
-                }
-                if !self.aligned {
-                    return Err(Refusal::NotAligned);
-                }
-                self.monitor.reset();
-                self.lost_in_a_row = 0;
-                self.mode = Mode::Armed;
-                Ok(())
-            }
-            Request::Speed(run) => {
-                self.require(Mode::Armed)?;
-                self.begin_run(run.duration_ms, Run::Speed(run), now_us)
-            }
-            Request::Track(run) => {
+            Request::Arm(asked) => self.arm(asked, now_us),
+            Request::Speed(pass, run) => self.begin_run(pass, run.duration_ms, Run::Speed(run), now_us),
+            Request::Track(pass, run) => {
                 self.require(Mode::Armed)?;
                 run.reference.validate().map_err(Refusal::Reference)?;
-                self.begin_run(run.duration_ms, Run::Track { run, state: State::REST, origin: position }, now_us)
+                self.begin_run(pass, run.duration_ms, Run::Track { run, state: State::REST, origin: position }, now_us)
             }
             Request::Reboot | Request::Identify => Err(Refusal::Mode(self.mode)),
         }
     }
 
-    fn require(&self, mode: Mode) -> Result<(), Refusal> {
-        if self.mode == mode { Ok(()) } else { Err(Refusal::Mode(self.mode)) }
+    /// Gives a session the pass for its next motion, and voids the one before.
+    fn give_pass(&mut self, asked: Asked, now_us: u64) -> Result<(), Refusal> {
+        if asked.token == 0 {
+            return Err(Refusal::Pass);
+        }
+        if ![0, asked.token].contains(&self.shared.holder()) {
+            return Err(Refusal::Held);
+        }
+        self.nonce = another_nonce(self.nonce, asked.heard_us, now_us);
+        let pass = Pass { token: asked.token, nonce: self.nonce };
+        self.pass = Some(pass);
+        self.shared.tell(Event::Pass(pass));
+        Ok(())
     }
 
-    fn text_mode(&self) -> Result<(), Refusal> {
-        if self.hardware_mode { Err(Refusal::HardwareMode) } else { Ok(()) }
+    /// Takes a pass: it works once.
+    fn use_pass(&mut self, pass: Pass) -> Result<(), Refusal> {
+        if self.pass != Some(pass) {
+            return Err(Refusal::Pass);
+        }
+        self.pass = None;
+        Ok(())
+    }
+
+    /// From here on the motor moves, or may, as long as this session is heard.
+    fn hold(&mut self, token: u32) {
+        self.shared.set_holder(token);
+        self.monitor.reset();
+        self.lost_in_a_row = 0;
+    }
+
+    /// Nobody holds the motor, and nothing that was asked for before moves it.
+    fn release(&mut self) {
+        self.shared.set_holder(0);
+        self.shared.end_errand();
+        self.pass = None;
+    }
+
+    fn arm(&mut self, asked: Asked, now_us: u64) -> Result<(), Refusal> {
+        self.require(Mode::Idle)?;
+        if self.configured.is_none() {
+            return Err(Refusal::NotConfigured);
+        }
+        if self.shared.is_keeping() {
+            return Err(Refusal::Busy);
+        }
+        if !self.aligned {
+            return Err(Refusal::NotAligned);
+        }
+        self.give_pass(asked, now_us)?;
+        self.hold(asked.token);
+        self.mode = Mode::Armed;
+        Ok(())
+    }
+
+    /// Starts what moves the motor through the driver board's text mode.
+    fn begin_text(&mut self, pass: Pass, request: DriverRequest, mode: Mode) -> Result<(), Refusal> {
+        self.require(Mode::Idle)?;
+        if self.hardware_mode {
+            return Err(Refusal::HardwareMode);
+        }
+        self.use_pass(pass)?;
+        self.hold(pass.token);
+        self.shared.begin_errand(request);
+        self.mode = mode;
+        Ok(())
+    }
+
+    fn require(&self, mode: Mode) -> Result<(), Refusal> {
+        if self.mode == mode { Ok(()) } else { Err(Refusal::Mode(self.mode)) }
     }
 
     /// Takes what the board kept, before the first tick. What does not validate leaves the board unconfigured.
@@ -310,7 +354,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
         }
         self.shared.encoder.set_sign(message.count_sign);
         self.output.set_frequency(message.pwm_hz);
-        self.monitor.reset();
+        self.monitor = Monitor::new(&message);
         self.configured = Some(Configured { message, config });
         self.shared.tell(Event::Configured(message));
         Ok(())
@@ -323,18 +367,36 @@ impl<'a, S: OutputStage> Control<'a, S> {
         Ok(())
     }
 
-    fn stop(&mut self, now_us: u64) {
+    /// Off at once. What the driver board does by itself ends within its line: only then is the motor said to be idle.
+    fn stop(&mut self, stop: Stop, now_us: u64) {
         self.output.off();
         self.end_run(RunEnd::Stopped, now_us);
-        self.shared.end_errand();
-        self.fault = None;
-        self.mode = Mode::Idle;
+        self.release();
+        if stop.clear_fault {
+            self.fault = None;
+        }
+        self.mode = match self.fault {
+            Some(_) => Mode::Fault,
+            None => Mode::Stopping,
+        };
+        self.shared.have_stopped(stop.of);
+        self.next_status_us = now_us;
     }
 
-    fn begin_run(&mut self, duration_ms: u32, run: Run, now_us: u64) -> Result<(), Refusal> {
+    /// Leaves [`Mode::Stopping`] once nothing moves.
+    fn settle(&mut self, now_us: u64) {
+        if self.mode == Mode::Stopping && !self.shared.is_driver_busy() {
+            self.mode = Mode::Idle;
+            self.next_status_us = now_us;
+        }
+    }
+
+    fn begin_run(&mut self, pass: Pass, duration_ms: u32, run: Run, now_us: u64) -> Result<(), Refusal> {
+        self.require(Mode::Armed)?;
         if !(1..=MAX_DURATION_MS).contains(&duration_ms) {
             return Err(Refusal::Duration);
         }
+        self.use_pass(pass)?;
         self.monitor.reset();
         self.output.begin_run();
         self.mode = Mode::Running;
@@ -385,75 +447,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
         let tick = running.tick;
         running.tick += 1;
         self.output.drive(duty, outputs.direction);
-        if self.capture.control {
-            let sample = self.sample(inputs, outputs, late_us);
-            let record = TickRecord { tick, due_us, state: state_before, sample };
-            let lost = self.queues.ticks.push(record).is_err();
-            self.count_loss(lost);
-        }
-    }
-
-    fn sample(&self, inputs: Inputs, outputs: Outputs, late_us: u64) -> ControlSample {
-        ControlSample {
-            target: inputs.target,
-            target_rate: inputs.target_rate,
-            position: inputs.position,
-            u: outputs.u,
-            on_steps: outputs.on_steps,
-            direction: outputs.direction,
-            late_us: late_us.min(u64::from(u16::MAX)) as u16,
-            duration_us: self.previous_duration_us,
-        }
-    }
-
-    fn count_loss(&mut self, lost: bool) {
-        if lost {
-            self.shared.lose_sample();
-            self.lost_in_a_row = self.lost_in_a_row.saturating_add(1);
-        } else {
-            self.lost_in_a_row = 0;
-        }
-    }
-
-    fn set_capture(&mut self, mode: CaptureMode, now_us: u64) {
-        if mode.bits && !self.capture.bits {
-            self.bits = Bits { next_us: now_us, ..Bits::default() };
-        }
-        if self.capture.bits && !mode.bits {
-            self.flush_bits();
-        }
-        self.shared.encoder.set_streaming(mode.edges);
-        self.capture = mode;
-        if let Some(configured) = &self.configured {
-            self.shared.tell(Event::Configured(configured.message));
-        }
-    }
-
-    fn capture_bit(&mut self, due_us: u64, level: bool) {
-        if !self.capture.bits || due_us < self.bits.next_us {
-            return;
-        }
-        if self.bits.samples.is_multiple_of(32) {
-            self.bits.word_us = due_us;
-        }
-        self.bits.next_us += BIT_PERIOD_US;
-        self.bits.samples += 1;
-        if let Some(word) = self.bits.packer.push(level) {
-            self.send_word(word, 32);
-        }
-    }
-
-    fn flush_bits(&mut self) {
-        if let Some((word, samples)) = self.bits.packer.flush() {
-            self.send_word(word, samples);
-        }
-    }
-
-    fn send_word(&mut self, word: u32, samples: u8) {
-        let first_sample = self.bits.samples - u64::from(samples);
-        let record = WordRecord { first_sample, first_us: self.bits.word_us, samples, word };
-        let lost = self.queues.words.push(record).is_err();
-        self.count_loss(lost);
+        self.capture_tick(tick, due_us, late_us, (inputs, state_before, outputs));
     }
 
     fn publish(&mut self, now_us: u64, position: i32) {
@@ -476,4 +470,13 @@ impl<'a, S: OutputStage> Control<'a, S> {
             bad_frames: self.shared.bad_frames(),
         });
     }
+}
+
+/// Another number each time: the µs at which frames arrive and ticks start do not repeat from one session, or one boot, to the
+/// next. The mixing is the finaliser of MurmurHash3.
+fn another_nonce(before: u32, heard_us: u64, now_us: u64) -> u32 {
+    let mut mixed = before.wrapping_add(0x9e37_79b9) ^ heard_us as u32 ^ (now_us as u32).rotate_left(16);
+    mixed = (mixed ^ (mixed >> 16)).wrapping_mul(0x85eb_ca6b);
+    mixed = (mixed ^ (mixed >> 13)).wrapping_mul(0xc2b2_ae35);
+    mixed ^ (mixed >> 16)
 }

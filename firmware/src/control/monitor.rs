@@ -1,5 +1,7 @@
 //! The fault monitors of the control interrupt: what is seen each tick against the configured limits.
 
+use super::stall::Stall;
+use twum_shared::message::Configuration;
 use twum_shared::safety::Limits;
 use twum_shared::{Direction, Duty, Fault};
 
@@ -9,6 +11,8 @@ const SPEED_WINDOW_US: u32 = 50_000;
 /// What one tick sees.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
+    /// A session holds the motor, and has to be heard.
+    pub held: bool,
     /// Armed or running.
     pub live: bool,
     pub running: bool,
@@ -29,7 +33,7 @@ pub(super) struct Monitor {
     edges: u32,
     host_frames: u32,
     silent_us: u32,
-    standing_us: u32,
+    stall: Stall,
     against: u32,
     late: u8,
     window_us: u32,
@@ -38,9 +42,13 @@ pub(super) struct Monitor {
 }
 
 impl Monitor {
+    pub fn new(configuration: &Configuration) -> Self {
+        Self { stall: Stall::new(configuration), ..Self::default() }
+    }
+
     /// Forgets the past: a run is judged from its own start.
     pub fn reset(&mut self) {
-        *self = Self { host_frames: self.host_frames, fresh: false, ..Self::default() };
+        *self = Self { host_frames: self.host_frames, stall: self.stall.anew(), ..Self::default() };
     }
 
     /// The fault this tick shows, if any.
@@ -54,17 +62,19 @@ impl Monitor {
         let host_spoke = seen.host_frames != self.host_frames;
         (self.position, self.edges, self.host_frames) = (seen.position, seen.edges, seen.host_frames);
 
-        self.silent_us = if host_spoke || !seen.live { 0 } else { self.silent_us.saturating_add(period_us) };
+        self.silent_us = if host_spoke || !seen.held { 0 } else { self.silent_us.saturating_add(period_us) };
         let late = seen.late_us > u64::from(limits.late_tick_us);
         self.late = if late { self.late.saturating_add(1) } else { 0 };
-        if !seen.live {
-            return None;
-        }
-        if self.late >= limits.late_ticks || seen.late_us > u64::from(period_us) * u64::from(limits.late_ticks) {
+        let overrun =
+            self.late >= limits.late_ticks || seen.late_us > u64::from(period_us) * u64::from(limits.late_ticks);
+        if seen.live && overrun {
             return Some(Fault::LoopOverrun);
         }
         if self.silent_us > u32::from(limits.command_timeout_ms) * 1_000 {
             return Some(Fault::CommandTimeout);
+        }
+        if !seen.live {
+            return None;
         }
         if seen.lost_in_a_row >= limits.lost_items {
             return Some(Fault::QueueOverflow);
@@ -88,9 +98,7 @@ impl Monitor {
         if self.against >= u32::from(limits.wrong_direction_counts) {
             return Some(Fault::WrongDirection);
         }
-        let driven = seen.duty.raw() >= limits.stall_duty;
-        self.standing_us = if driven && edges == 0 { self.standing_us.saturating_add(period_us) } else { 0 };
-        if self.standing_us > u32::from(limits.stall_ms) * 1_000 {
+        if self.stall.check(period_us, seen.duty, edges) {
             return Some(Fault::EncoderStall);
         }
         if seen.position < limits.position_min || seen.position > limits.position_max {

@@ -1,5 +1,5 @@
-use crate::shared::{Command, Event, Request, Shared};
-use embassy_time::{Duration, Timer};
+use crate::shared::{Asked, Command, Event, Request, Shared, Stop};
+use embassy_time::{Duration, Instant, Timer};
 use embedded_io_async::Read;
 use twum_shared::Fault;
 use twum_shared::frame::{Decoder, FrameError};
@@ -9,13 +9,14 @@ use twum_shared::message::{HostMessage, Refusal};
 pub async fn receive<R: Read>(shared: &Shared, mut port: R) {
     let mut decoder = Decoder::new();
     let mut buffer = [0u8; 64];
+    let mut heard = Heard::default();
     loop {
         match port.read(&mut buffer).await {
             Ok(0) => Timer::after(Duration::from_millis(1)).await,
             Ok(length) => {
                 for &byte in buffer.iter().take(length) {
                     match decoder.push::<HostMessage>(byte) {
-                        Some(Ok((header, message))) => take(shared, header.sequence, message),
+                        Some(Ok((header, message))) => take(shared, &mut heard, header.sequence, message),
                         Some(Err(error)) => refuse(shared, error),
                         None => {}
                     }
@@ -37,19 +38,42 @@ fn refuse(shared: &Shared, error: FrameError) {
     }
 }
 
-fn take(shared: &Shared, sequence: u32, message: HostMessage) {
-    shared.host_spoke();
+/// The keepalive that was heard last: its session and its sequence.
+#[derive(Default)]
+struct Heard(Option<(u32, u32)>);
+
+impl Heard {
+    /// Whether this keepalive is of the session that holds the motor, and newer than the one before: one that comes twice,
+    /// or is replayed, is no sign of life.
+    fn is_alive(&mut self, holder: u32, token: u32, sequence: u32) -> bool {
+        let old = |&(of, before): &(u32, u32)| of == token && sequence.wrapping_sub(before).wrapping_sub(1) >= 1 << 31;
+        if token == 0 || token != holder || self.0.as_ref().is_some_and(old) {
+            return false;
+        }
+        self.0 = Some((token, sequence));
+        true
+    }
+}
+
+fn take(shared: &Shared, heard: &mut Heard, sequence: u32, message: HostMessage) {
+    let asked = |token| Asked { token, heard_us: Instant::now().as_micros() };
     let request = match message {
         HostMessage::Hello => Request::Identify,
-        HostMessage::Keepalive => return,
+        HostMessage::Keepalive { token } => {
+            if heard.is_alive(shared.holder(), token, sequence) {
+                shared.host_spoke();
+            }
+            return;
+        }
+        HostMessage::Stop { clear_fault } => return shared.ask_stop(Stop { of: sequence, clear_fault }),
+        HostMessage::AskPass { token } => Request::GivePass(asked(token)),
         HostMessage::Configure(configuration) => Request::Configure(configuration),
-        HostMessage::Align => Request::Align,
-        HostMessage::Arm => Request::Arm,
-        HostMessage::Speed(run) => Request::Speed(run),
-        HostMessage::Track(run) => Request::Track(run),
+        HostMessage::Align(pass) => Request::Align(pass),
+        HostMessage::Arm { token } => Request::Arm(asked(token)),
+        HostMessage::Speed { pass, run } => Request::Speed(pass, run),
+        HostMessage::Track { pass, run } => Request::Track(pass, run),
         HostMessage::Capture(mode) => Request::Capture(mode),
-        HostMessage::Driver(line) => Request::Driver(line),
-        HostMessage::Stop => Request::Stop,
+        HostMessage::Driver { pass, line } => Request::Driver(pass, line),
         HostMessage::Reboot => Request::Reboot,
     };
     command(shared, sequence, request);
@@ -58,5 +82,22 @@ fn take(shared: &Shared, sequence: u32, message: HostMessage) {
 fn command(shared: &Shared, sequence: u32, request: Request) {
     if shared.commands.push(Command::Host(sequence, request)).is_err() {
         shared.tell(Event::Nack(sequence, Refusal::Busy));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_new_keepalives_of_the_session_that_holds_the_motor_count() {
+        let mut heard = Heard::default();
+        assert!(!heard.is_alive(0, 0, 1), "nobody holds it");
+        assert!(!heard.is_alive(7, 8, 1), "another session");
+        assert!(heard.is_alive(7, 7, u32::MAX - 1));
+        assert!(!heard.is_alive(7, 7, u32::MAX - 1), "the same again");
+        assert!(heard.is_alive(7, 7, 3), "the sequence wraps");
+        assert!(!heard.is_alive(7, 7, 2), "an older one");
+        assert!(heard.is_alive(8, 8, 2), "another session has its own sequence");
     }
 }

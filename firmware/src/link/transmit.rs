@@ -5,7 +5,7 @@ use embedded_io_async::Write;
 use heapless::{String, Vec};
 use twum_shared::frame::{self, Header, MAX_ENCODED};
 use twum_shared::message::{
-    BLOCK_EDGES, BLOCK_SAMPLES, BitsBlock, ControlBlock, DeviceMessage, EdgesBlock, Identity, ResetCause,
+    BLOCK_EDGES, BLOCK_SAMPLES, BitsBlock, ControlBlock, DeviceMessage, EdgesBlock, Identity, Losses, ResetCause,
 };
 
 /// The queues are looked at this often.
@@ -14,6 +14,11 @@ const TURN_MS: u64 = 2;
 const PATIENCE_TURNS: u8 = 50;
 /// Words in a block before it goes out.
 const WORDS_PER_BLOCK: usize = 8;
+/// Blocks of capture data in a turn: 20 ms of a full line, so that what is said first waits no longer than that and the
+/// watchdog sees the task advance, whatever the streams bring. What does not fit is lost where it is queued, and counted.
+const BLOCKS_PER_TURN: usize = 3;
+/// Events in a turn: as many as there may be at once.
+const EVENTS_PER_TURN: usize = 24;
 
 /// What the board is, for the answer to a hello.
 #[derive(Clone, Debug)]
@@ -32,24 +37,33 @@ pub async fn transmit<W: Write>(shared: &Shared, queues: TransmitEnds<'_>, about
     // Ends whatever a boot loader wrote, so that our first frame stands alone.
     let _ = transmitter.port.write_all(&[0]).await;
     let mut collector = Collector::new(queues);
-    let mut lost_seen = 0;
+    let (mut lost_seen, mut lost_told) = (Losses::default(), Losses::default());
     loop {
-        while let Some(event) = shared.events.pull() {
+        if let Some(of) = shared.take_stopped() {
+            transmitter.send(DeviceMessage::Ack { of }).await;
+        }
+        for _ in 0..EVENTS_PER_TURN {
+            let Some(event) = shared.events.pull() else { break };
             let message = describe(event, &about);
             transmitter.send(message).await;
         }
-        let lost = shared.lost_items();
+        let lost = shared.losses();
         if lost != lost_seen {
             // What was lost never became a frame; the gap in the sequence says so all the same.
             transmitter.sequence = transmitter.sequence.wrapping_add(1);
             lost_seen = lost;
         }
-        collector.wait_a_turn();
-        while let Some(message) = collector.next_block() {
-            transmitter.send(message).await;
-        }
         if let Some(status) = shared.status.try_take() {
             transmitter.send(DeviceMessage::Status(status)).await;
+            if lost != lost_told {
+                transmitter.send(DeviceMessage::Losses(lost)).await;
+                lost_told = lost;
+            }
+        }
+        collector.wait_a_turn();
+        for _ in 0..BLOCKS_PER_TURN {
+            let Some(message) = collector.next_block() else { break };
+            transmitter.send(message).await;
         }
         shared.transmit_turned();
         Timer::after(Duration::from_millis(TURN_MS)).await;
@@ -75,6 +89,7 @@ fn describe(event: Event, about: &About) -> DeviceMessage {
         Event::DriverReply(bytes) => DeviceMessage::DriverReply(bytes),
         Event::DriverDone => DeviceMessage::DriverDone,
         Event::Log(line) => DeviceMessage::Log(line),
+        Event::Pass(pass) => DeviceMessage::Pass(pass),
     }
 }
 
@@ -94,10 +109,13 @@ impl<W: Write> Transmitter<'_, W> {
             Err(frame::TooLong) => false,
         };
         if !sent {
-            self.shared.lose_sample();
+            self.shared.lose_other();
         }
     }
 }
+
+/// Ticks, words, edges.
+const STREAMS: usize = 3;
 
 /// Makes blocks of what the interrupts queue.
 struct Collector<'a> {
@@ -106,40 +124,52 @@ struct Collector<'a> {
     /// Index of the edge after the last that was taken.
     next_edge: u64,
     /// Turns for which ticks, words and edges may still wait for their block to fill.
-    patience: [u8; 3],
+    patience: [u8; STREAMS],
+    /// The stream whose turn it is.
+    turn: usize,
 }
 
 impl<'a> Collector<'a> {
     const fn new(queues: TransmitEnds<'a>) -> Self {
-        Self { queues, pending: None, next_edge: 0, patience: [PATIENCE_TURNS; 3] }
+        Self { queues, pending: None, next_edge: 0, patience: [PATIENCE_TURNS; STREAMS], turn: 0 }
     }
 
     fn wait_a_turn(&mut self) {
         self.patience = self.patience.map(|turns| turns.saturating_sub(1));
     }
 
-    /// The next block that is full or has waited long enough.
+    /// The next block that is full or has waited long enough. The streams take turns, so that none starves another.
     fn next_block(&mut self) -> Option<DeviceMessage> {
-        let [ticks, words, edges] = self.patience.map(|turns| turns == 0);
-        if ticks || self.queues.ticks.len() >= BLOCK_SAMPLES {
-            self.patience[0] = PATIENCE_TURNS;
-            if let Some(block) = self.control_block() {
-                return Some(DeviceMessage::Control(block));
-            }
-        }
-        if words || self.queues.words.len() >= WORDS_PER_BLOCK {
-            self.patience[1] = PATIENCE_TURNS;
-            if let Some(block) = self.bits_block() {
-                return Some(DeviceMessage::Bits(block));
-            }
-        }
-        if edges || self.queues.edges.len() >= BLOCK_EDGES {
-            self.patience[2] = PATIENCE_TURNS;
-            if let Some(block) = self.edges_block() {
-                return Some(DeviceMessage::Edges(block));
+        for _ in 0..STREAMS {
+            let stream = self.turn;
+            self.turn = (self.turn + 1) % STREAMS;
+            let block = match stream {
+                0 if self.is_due(0, self.queues.ticks.len(), BLOCK_SAMPLES) => {
+                    self.control_block().map(DeviceMessage::Control)
+                }
+                1 if self.is_due(1, self.queues.words.len(), WORDS_PER_BLOCK) => {
+                    self.bits_block().map(DeviceMessage::Bits)
+                }
+                2 if self.is_due(2, self.queues.edges.len(), BLOCK_EDGES) => {
+                    self.edges_block().map(DeviceMessage::Edges)
+                }
+                _ => None,
+            };
+            if block.is_some() {
+                return block;
             }
         }
         None
+    }
+
+    /// Whether a stream's block goes out now; if so, the next one may wait anew.
+    fn is_due(&mut self, stream: usize, waiting: usize, full: usize) -> bool {
+        let Some(patience) = self.patience.get_mut(stream) else { return false };
+        let due = *patience == 0 || waiting >= full;
+        if due {
+            *patience = PATIENCE_TURNS;
+        }
+        due
     }
 
     fn control_block(&mut self) -> Option<ControlBlock> {

@@ -4,6 +4,7 @@ use super::connect::ConnectArgs;
 use super::output::spinner;
 use anyhow::Result;
 use std::process::ExitCode;
+use twum_host::link::bench::align;
 
 /// Arguments of `twum align`.
 #[derive(Debug, clap::Args)]
@@ -21,8 +22,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     let mut session = args.connect.session()?;
     let spinner = spinner();
     spinner.set_message("aligning");
-    session.hello()?;
-    session.align()?;
+    align(&mut session)?;
     spinner.finish_and_clear();
     println!("aligned: the rotor stands at the beginning of an encoder pulse, and counts as zero");
     Ok(ExitCode::SUCCESS)

@@ -1,10 +1,13 @@
 //! Arguments every command that talks to a board shares.
 
-use anyhow::{Context, Result, anyhow, bail};
+use super::exit;
+use super::signals::on_signal;
+use anyhow::{Result, bail};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 use twum_host::link::bench::{Experiment, Outcome, perform};
-use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink};
+use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink, is_motor_held};
 use twum_host::record::measurement::ControlSpec;
 use twum_host::sim::Setup;
 use twum_shared::message::{CaptureMode, Configuration, RunEnd};
@@ -20,17 +23,22 @@ pub struct ConnectArgs {
     reset: bool,
 }
 
-/// Set by Ctrl-C; a second Ctrl-C ends the program at once.
+/// Set by Ctrl-C, a termination or a closed window; a second one ends the program at once, unless the motor is still being
+/// stopped.
 pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// The motor is stopped within this time of the first signal, or cannot be.
+const STOPPING: Duration = Duration::from_secs(5);
 
 /// Makes Ctrl-C set [`INTERRUPTED`].
 pub fn catch_interrupts() -> Result<()> {
-    ctrlc::set_handler(|| {
-        if INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+    let mut first = None;
+    on_signal(move || {
+        let since = first.get_or_insert_with(Instant::now).elapsed();
+        if INTERRUPTED.swap(true, Ordering::Relaxed) && (!is_motor_held() || since > STOPPING) {
+            std::process::exit(exit::INTERRUPTED.into());
         }
     })
-    .context("cannot catch Ctrl-C")
 }
 
 impl ConnectArgs {
@@ -98,8 +106,20 @@ pub struct RecordArgs {
 }
 
 impl RecordArgs {
-    /// Prints how it went; the exit code is 1 for a fault or an unforgiven loss.
+    /// The exit code: of a fault, of somebody else's stop, of an interruption, of an unforgiven loss.
+    fn verdict(&self, outcome: &Outcome) -> Result<u8> {
+        match outcome.run.map(|run| run.end) {
+            Some(RunEnd::Fault(fault)) => Err(LinkError::Fault(fault).into()),
+            _ if outcome.interrupted => Ok(exit::INTERRUPTED),
+            Some(RunEnd::Stopped) => Err(LinkError::StoppedByOther.into()),
+            _ => Ok(u8::from(!outcome.tally.is_lossless() && !self.allow_loss)),
+        }
+    }
+
+    /// Prints how it went.
     pub fn conclude(&self, outcome: &Outcome) -> Result<ExitCode> {
+        let verdict = self.verdict(outcome);
+        exit::decide(&verdict);
         let end = outcome.run.map(|run| run.end);
         let seconds = outcome.run.map(|run| run.end_us.saturating_sub(run.start_us) as f64 * 1e-6);
         let tally = outcome.tally;
@@ -124,17 +144,10 @@ impl RecordArgs {
                 println!("recorded {} frames in {}", outcome.recorded, path.display());
             }
         }
-        match end {
-            Some(RunEnd::Fault(fault)) => {
-                Err(anyhow!("the motor was stopped by {fault:?}: {fault}; `twum stop` clears it"))
-            }
-            _ if !tally.is_lossless() && !self.allow_loss => {
-                eprintln!("error: frames were lost; the recording marks where (--allow-loss to accept)");
-                Ok(ExitCode::from(1))
-            }
-            _ if outcome.interrupted => Ok(ExitCode::from(130)),
-            _ => Ok(ExitCode::SUCCESS),
+        if matches!(verdict, Ok(1)) {
+            eprintln!("error: frames were lost; the recording marks where (--allow-loss to accept)");
         }
+        verdict.map(ExitCode::from)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms};
 use super::diagnose::{motor_of, runs_of};
+use super::exit;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -9,6 +10,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Options, diagnose};
+use twum_host::link::LinkError;
 use twum_host::link::bench::{Action, Experiment, perform};
 use twum_host::model::parameters::Flavour;
 use twum_host::record::export::{EncoderSource, to_measurement};
@@ -144,11 +146,13 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
     let mut session = args.connect.session()?;
     let mut whole: Option<Measurement> = None;
+    let mut cut: Option<(String, LinkError)> = None;
     for (number, planned) in runs.iter().enumerate() {
         let id = planned.id(number);
         bar.set_message(id.clone());
-        if planned.pause_s > 0.0 {
-            std::thread::sleep(Duration::from_secs_f64(planned.pause_s));
+        if let Err(error) = session.rest(Duration::from_secs_f64(planned.pause_s.max(0.0))) {
+            cut = Some((id, error));
+            break;
         }
         let path = recordings.join(format!("{id}.mcap"));
         let mut configuration = args.configuration.configuration()?;
@@ -165,14 +169,12 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
             motor: args.configuration.motor.clone(),
         };
         let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
-        if outcome.interrupted {
-            bar.abandon();
-            eprintln!(
-                "interrupted after {number} of {} runs; {} keeps what was recorded",
-                runs.len(),
-                recordings.display()
-            );
-            return Ok(ExitCode::from(130));
+        if let Some(error) = outcome.cut() {
+            // No ordinary run: it goes by another name, and into no measurement.
+            let marked = recordings.join(format!("{id}.cut-short.mcap"));
+            std::fs::rename(&path, &marked).with_context(|| format!("marking {}", marked.display()))?;
+            cut = Some((id, error));
+            break;
         }
         let recording = Recording::load(&path)?;
         let (measurement, notes) = to_measurement(&recording, &id, EncoderSource::Edges)?;
@@ -193,10 +195,20 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
         bar.inc(1);
     }
     bar.finish_and_clear();
+    let verdict = match cut {
+        Some((id, error)) => {
+            let verdict = Err(anyhow::Error::from(error).context(format!("run {id}")));
+            exit::decide(&verdict);
+            let made = whole.as_ref().map_or(0, |whole| whole.runs.len());
+            eprintln!("{made} of {} runs were made; {} keeps what was recorded", runs.len(), recordings.display());
+            verdict.map(ExitCode::from)
+        }
+        None => Ok(ExitCode::SUCCESS),
+    };
     if let Some(whole) = whole {
         let saved = whole.save(args.out.join("measurement"))?;
         println!("{}", saved.folder.display());
         eprintln!("{} runs; next: twum diagnose {}", saved.runs.len(), saved.folder.display());
     }
-    Ok(ExitCode::SUCCESS)
+    verdict
 }

@@ -1,5 +1,6 @@
 //! `twum instruments`.
 
+use super::signals::on_signal;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -114,7 +115,7 @@ struct Simulate {
 pub fn run(args: Args) -> Result<ExitCode> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot watch for Ctrl-C")?;
+    on_signal(move || flag.store(true, Ordering::Relaxed))?;
     match args.what {
         What::Sweep(args) => run_sweep(args, &stop),
         What::Simulate(args) => run_simulate(args, &stop),

@@ -7,6 +7,7 @@ mod connect;
 mod demo;
 mod diagnose;
 mod driver;
+pub mod exit;
 mod experiment;
 mod export;
 mod identify;
@@ -20,6 +21,7 @@ mod output;
 mod plot;
 mod ports;
 mod replay;
+mod signals;
 mod sim;
 mod speed;
 mod stop;
@@ -32,7 +34,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about)]
+#[command(name = "twum", version, about, after_help = exit::HELP)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -15,9 +15,11 @@ pub struct Args {
 /// Runs `twum stop`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let mut session = args.connect.session()?;
-    let identity = session.hello()?;
+    // Off first; which fault it was is asked before it is cleared.
+    session.halt()?;
+    let fault = session.hello()?.fault;
     session.stop()?;
-    match identity.fault {
+    match fault {
         Some(fault) => println!("stopped; cleared {fault:?}: {fault}"),
         None => println!("stopped"),
     }

@@ -4,14 +4,16 @@
 //! writes every frame it sees into a recording.
 
 pub mod bench;
+mod commands;
 mod pty;
 mod serial;
 mod session;
 mod simulated;
+mod stopping;
 
 pub use pty::serve;
 pub use serial::{BAUD, SerialLink};
-pub use session::{Received, RunReport, Session, Tally};
+pub use session::{Received, RunReport, Session, Tally, is_motor_held};
 pub use simulated::SimulatedLink;
 
 use std::time::Duration;
@@ -98,8 +100,23 @@ pub enum LinkError {
         reason: Refusal,
     },
     /// A fault stopped the motor.
-    #[error("fault {0:?}: {0}")]
+    #[error("fault {0:?}: {0}; `twum stop` clears it")]
     Fault(Fault),
+    /// A fault was latched before anything was asked for.
+    #[error("nothing was started: {0:?} is latched: {0}; `twum stop` clears it")]
+    Latched(Fault),
+    /// Somebody else stopped the motor.
+    #[error("the motor was stopped by somebody else")]
+    StoppedByOther,
+    /// The board started anew in the middle of it.
+    #[error("the board restarted; its motor is off, and nothing goes on by itself (`twum info` says why it restarted)")]
+    Restarted,
+    /// The motor was not seen to stand.
+    #[error(
+        "the motor was not seen to stand: {0}. A board that hears nothing switches off by itself within its command timeout; \
+         look at the motor, and cut its power if it turns"
+    )]
+    NotStopped(&'static str),
     /// The recording cannot be written.
     #[error(transparent)]
     Store(#[from] crate::record::store::StoreError),

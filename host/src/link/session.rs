@@ -1,22 +1,18 @@
 use super::{LinkError, Port};
 use crate::record::store::{Sender, StoreError, Writer};
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
-use twum_shared::Fault;
 use twum_shared::frame::{self, FrameError, Header, MAX_ENCODED};
-use twum_shared::message::{
-    CaptureMode, Configuration, DeviceMessage, HostMessage, Identity, Mode, Refusal, RunEnd, SpeedRun, TrackRun,
-};
+use twum_shared::message::{DeviceMessage, HostMessage, Pass, RunEnd};
 
-/// A keepalive goes out this often while the host waits: well inside the device's command timeout.
+/// A keepalive goes out this often while the session holds the motor: well inside the device's command timeout.
 const KEEPALIVE: Duration = Duration::from_millis(100);
-/// How long a command's answer may take.
-const ANSWER: Duration = Duration::from_millis(1_000);
-/// How long a busy board is left alone before it is asked again.
-const ASK_AGAIN: Duration = Duration::from_millis(20);
-/// Longest alignment: four attempts of a search of 20 s at most.
-const ALIGNMENT: Duration = Duration::from_secs(100);
+/// An interruption is seen within this time.
+const INTERRUPTION: Duration = Duration::from_millis(10);
+/// Frames among which one that comes twice is known.
+const REMEMBERED: usize = 32;
 
 /// What a session saw, counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -35,6 +31,8 @@ pub struct Tally {
     pub reconnects: u64,
     /// Most frames lost in a row.
     pub longest_gap: u64,
+    /// Frames that came twice; the second is dropped.
+    pub duplicates: u64,
 }
 
 impl Tally {
@@ -64,47 +62,96 @@ pub struct RunReport {
     pub end_us: u64,
 }
 
+/// Sessions of this process that hold a motor.
+static HOLDING: AtomicUsize = AtomicUsize::new(0);
+
+/// Whether a session of this process has set a motor in motion, or may have, and has not seen it stand since. Whoever ends the
+/// process then first lets the session stop it.
+pub fn is_motor_held() -> bool {
+    HOLDING.load(Ordering::Relaxed) > 0
+}
+
+/// What ends a wait.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Attention {
+    /// An interruption and a recording that fails end it; keepalives go out.
+    Ordinary,
+    /// Nothing but the port's loss: the motor is being stopped, or has been.
+    Stopping,
+}
+
 /// A conversation with a board.
-pub struct Session<P> {
-    port: P,
+///
+/// It is also the guard of what it sets in motion: dropped for whatever reason while it holds the motor, it stops it.
+pub struct Session<P: Port> {
+    pub(super) port: P,
+    pub(super) token: u32,
+    pub(super) pass: Option<Pass>,
+    pub(super) holding: bool,
     sequence: u32,
-    expected: Option<u32>,
+    /// The frames that came last, the newest at the end.
+    last: VecDeque<Header>,
     bytes: Vec<u8>,
     block: Vec<u8>,
-    inbox: VecDeque<Received>,
+    pub(super) inbox: VecDeque<Received>,
     tally: Tally,
-    last_sent: Duration,
+    spoke: bool,
+    last_keepalive: Duration,
     writer: Option<Writer>,
+    /// Why there is no recording any more. It waits until the motor needs nothing.
+    failed: Option<StoreError>,
     recording_start: Duration,
     interrupt: Option<&'static AtomicBool>,
+}
+
+impl<P: Port> Drop for Session<P> {
+    fn drop(&mut self) {
+        if self.holding {
+            // What cannot be told switches off by its command timeout, which nobody feeds any more.
+            let _ = self.switch_off(false);
+        }
+        self.hold(false);
+    }
 }
 
 impl<P: Port> Session<P> {
     /// A session over an open port; nothing is sent yet.
     pub fn new(port: P) -> Self {
+        // In virtual time nobody else is there, and equal seeds give equal bytes.
+        let random = if port.is_virtual() { 1 } else { RandomState::new().build_hasher().finish() };
         Self {
             port,
-            sequence: 0,
-            expected: None,
+            token: (random as u32).max(1),
+            pass: None,
+            holding: false,
+            // So that no other session's answers are taken for this one's.
+            sequence: (random >> 32) as u32,
+            last: VecDeque::new(),
             bytes: Vec::new(),
             block: Vec::new(),
             inbox: VecDeque::new(),
             tally: Tally::default(),
-            last_sent: Duration::ZERO,
+            spoke: false,
+            last_keepalive: Duration::ZERO,
             writer: None,
+            failed: None,
             recording_start: Duration::ZERO,
             interrupt: None,
         }
     }
 
-    /// Ends every wait with [`LinkError::Interrupted`] once the flag is set.
-    pub fn interrupt_by(&mut self, flag: &'static AtomicBool) {
-        self.interrupt = Some(flag);
+    pub(super) fn hold(&mut self, holding: bool) {
+        match (self.holding, holding) {
+            (false, true) => HOLDING.fetch_add(1, Ordering::Relaxed),
+            (true, false) => HOLDING.fetch_sub(1, Ordering::Relaxed),
+            _ => 0,
+        };
+        self.holding = holding;
     }
 
-    /// Waits no longer end when the flag is set: what follows cleans up.
-    pub fn ignore_interrupts(&mut self) {
-        self.interrupt = None;
+    /// Ends every wait with [`LinkError::Interrupted`] from the moment the flag is set, but for those that stop the motor.
+    pub fn interrupt_by(&mut self, flag: &'static AtomicBool) {
+        self.interrupt = Some(flag);
     }
 
     /// Whether the flag is set.
@@ -132,45 +179,50 @@ impl<P: Port> Session<P> {
     /// Ends the recording; gives its number of frames.
     ///
     /// # Errors
-    /// When its end cannot be written; every frame is intact.
+    /// When its end, or an earlier frame, could not be written; every frame before that is intact.
     pub fn finish_recording(&mut self) -> Result<u64, StoreError> {
-        self.writer.take().map_or(Ok(0), Writer::finish)
+        match self.failed.take() {
+            Some(error) => Err(error),
+            None => self.writer.take().map_or(Ok(0), Writer::finish),
+        }
+    }
+
+    /// Writes into the recording, if there is one. A recording that fails ends, and is told of at the next ordinary wait:
+    /// what the motor needs goes first.
+    fn write(&mut self, what: impl FnOnce(&mut Writer, u64) -> Result<(), StoreError>) {
+        let time_ns = self.recording_time_ns();
+        if let Some(Err(error)) = self.writer.as_mut().map(|writer| what(writer, time_ns)) {
+            self.writer = None;
+            self.failed = Some(error);
+        }
     }
 
     /// Puts a remark into the recording, if there is one.
-    ///
-    /// # Errors
-    /// When the recording cannot be written.
-    pub fn remark(&mut self, event: &str) -> Result<(), LinkError> {
-        let time_ns = self.recording_time_ns();
-        if let Some(writer) = &mut self.writer {
-            writer.remark(time_ns, event)?;
-        }
-        Ok(())
+    pub fn remark(&mut self, event: &str) {
+        self.write(|writer, time_ns| writer.remark(time_ns, event));
     }
 
     /// Goes on over another port, after the first was lost. The gap is remarked.
-    ///
-    /// # Errors
-    /// When the recording cannot be written.
-    pub fn reattach(&mut self, port: P) -> Result<(), LinkError> {
+    pub fn reattach(&mut self, port: P) {
         self.port = port;
         self.bytes.clear();
         self.block.clear();
-        self.expected = None;
-        self.last_sent = Duration::ZERO;
+        self.last.clear();
+        self.spoke = false;
+        self.pass = None;
         self.tally.reconnects += 1;
-        self.remark("reconnected")
+        self.remark("reconnected");
     }
 
     fn recording_time_ns(&self) -> u64 {
         self.port.elapsed().saturating_sub(self.recording_start).as_nanos() as u64
     }
 
-    /// Sends a message; gives the sequence of its frame.
+    /// Sends a message; gives the sequence of its frame. What is sent is recorded after it is on the line: nothing that moves
+    /// the motor, or stops it, waits for storage.
     ///
     /// # Errors
-    /// When the port is gone or the recording cannot be written.
+    /// When the port is gone.
     pub fn send(&mut self, message: &HostMessage) -> Result<u32, LinkError> {
         let sequence = self.sequence;
         self.sequence = self.sequence.wrapping_add(1);
@@ -178,16 +230,25 @@ impl<P: Port> Session<P> {
         let bytes = frame::encode(Header { sequence, time_us: 0 }, message, &mut buffer).expect(
             "every host message fits a frame: its collections are bounded, and a test frames each at its fullest",
         );
-        let time_ns = self.recording_time_ns();
-        if let Some(writer) = &mut self.writer {
-            writer.frame(Sender::Host, time_ns, bytes)?;
-        }
-        if self.last_sent == Duration::ZERO {
+        if !self.spoke {
             self.port.send(&[0])?;
+            self.spoke = true;
         }
         self.port.send(bytes)?;
-        self.last_sent = self.port.elapsed();
+        self.write(|writer, time_ns| writer.frame(Sender::Host, time_ns, bytes));
         Ok(sequence)
+    }
+
+    /// Says that this session is alive, if it holds the motor; waiting does so too.
+    ///
+    /// # Errors
+    /// When the port is gone.
+    pub fn keep_alive(&mut self) -> Result<(), LinkError> {
+        if self.holding {
+            self.last_keepalive = self.port.elapsed();
+            self.send(&HostMessage::Keepalive { token: self.token })?;
+        }
+        Ok(())
     }
 
     /// The next message, waiting up to `wait`; keeps the device's command timeout from running out meanwhile.
@@ -195,12 +256,37 @@ impl<P: Port> Session<P> {
     /// # Errors
     /// Another protocol version, a lost port, an interruption, or a recording that cannot be written.
     pub fn next(&mut self, wait: Duration) -> Result<Option<Received>, LinkError> {
+        self.next_with(wait, Attention::Ordinary)
+    }
+
+    /// The next message of a motor that stands: neither an interruption nor a full disk ends this wait.
+    ///
+    /// # Errors
+    /// Another protocol version, or a lost port.
+    pub fn next_at_rest(&mut self, wait: Duration) -> Result<Option<Received>, LinkError> {
+        self.next_with(wait, Attention::Stopping)
+    }
+
+    /// Lets so much time pass, listening; what comes meanwhile is dropped.
+    ///
+    /// # Errors
+    /// As [`Session::next`].
+    pub fn rest(&mut self, wait: Duration) -> Result<(), LinkError> {
+        let deadline = self.port.elapsed() + wait;
+        while self.port.elapsed() < deadline {
+            let left = deadline.saturating_sub(self.port.elapsed());
+            self.next(left)?;
+        }
+        Ok(())
+    }
+
+    fn next_with(&mut self, wait: Duration, attention: Attention) -> Result<Option<Received>, LinkError> {
         let deadline = self.port.elapsed() + wait;
         loop {
             if let Some(received) = self.inbox.pop_front() {
                 return Ok(Some(received));
             }
-            self.fill(deadline)?;
+            self.fill(deadline, attention)?;
             if self.inbox.is_empty() && self.port.elapsed() >= deadline {
                 return Ok(None);
             }
@@ -208,16 +294,23 @@ impl<P: Port> Session<P> {
     }
 
     /// Reads once, at most until the deadline or the next keepalive.
-    fn fill(&mut self, deadline: Duration) -> Result<(), LinkError> {
-        if self.is_interrupted() {
-            return Err(LinkError::Interrupted);
-        }
+    pub(super) fn fill(&mut self, deadline: Duration, attention: Attention) -> Result<(), LinkError> {
         let now = self.port.elapsed();
-        if now.saturating_sub(self.last_sent) >= KEEPALIVE && self.last_sent != Duration::ZERO {
-            self.send(&HostMessage::Keepalive)?;
+        let mut until = deadline.min(now + KEEPALIVE / 4);
+        if attention == Attention::Ordinary {
+            if self.is_interrupted() {
+                return Err(LinkError::Interrupted);
+            }
+            if let Some(error) = self.failed.take() {
+                return Err(error.into());
+            }
+            if now.saturating_sub(self.last_keepalive) >= KEEPALIVE {
+                self.keep_alive()?;
+            }
+            until = until.min(now + INTERRUPTION);
         }
-        let until = deadline.min(now + KEEPALIVE / 4);
         self.port.receive(&mut self.bytes, until.saturating_sub(now))?;
+        let restarts = self.tally.restarts;
         let bytes = std::mem::take(&mut self.bytes);
         for &byte in &bytes {
             self.block.push(byte);
@@ -228,6 +321,11 @@ impl<P: Port> Session<P> {
                 self.take_block()?;
             }
         }
+        // What this session set in motion is over, and does not go on by itself.
+        if attention == Attention::Ordinary && self.holding && self.tally.restarts > restarts {
+            self.hold(false);
+            return Err(LinkError::Restarted);
+        }
         Ok(())
     }
 
@@ -236,18 +334,16 @@ impl<P: Port> Session<P> {
         if block == [0] {
             return Ok(());
         }
-        let time_ns = self.recording_time_ns();
-        if let Some(writer) = &mut self.writer {
-            writer.frame(Sender::Device, time_ns, &block)?;
-        }
+        self.write(|writer, time_ns| writer.frame(Sender::Device, time_ns, &block));
         if block.last() == Some(&0) {
             block.pop();
         }
         let is_text = block.iter().all(|byte| (0x20..0x7f).contains(byte) || b"\r\n\t\x1b".contains(byte));
         match frame::decode::<DeviceMessage>(&mut block) {
             Ok((header, message)) => {
-                self.count(header, &message);
-                self.inbox.push_back(Received { header, message });
+                if self.count(header) {
+                    self.inbox.push_back(Received { header, message });
+                }
                 Ok(())
             }
             Err(FrameError::Version(version)) => Err(LinkError::Version(version)),
@@ -256,7 +352,7 @@ impl<P: Port> Session<P> {
                 Ok(())
             }
             // The first block of a stream that was opened midway is the rest of a frame.
-            Err(_) if self.expected.is_none() && self.tally.received == 0 => Ok(()),
+            Err(_) if self.last.is_empty() && self.tally.received == 0 => Ok(()),
             Err(_) => {
                 self.tally.bad += 1;
                 Ok(())
@@ -264,168 +360,60 @@ impl<P: Port> Session<P> {
         }
     }
 
-    fn count(&mut self, header: Header, message: &DeviceMessage) {
-        self.tally.received += 1;
-        let gap = self.expected.map_or(0, |expected| header.sequence.wrapping_sub(expected));
-        let restarted =
-            gap > u32::MAX / 2 || (matches!(message, DeviceMessage::Hello(_)) && header.sequence < 4 && gap != 0);
-        if restarted {
-            self.tally.restarts += 1;
-        } else {
-            self.tally.lost += u64::from(gap);
-            self.tally.longest_gap = self.tally.longest_gap.max(u64::from(gap));
+    /// Counts a frame; whether it is a new one.
+    fn count(&mut self, header: Header) -> bool {
+        if self.last.contains(&header) {
+            self.tally.duplicates += 1;
+            return false;
         }
-        self.expected = Some(header.sequence.wrapping_add(1));
-    }
-
-    /// Sends a command and waits for its answer; other messages stay in order for [`Session::next`]. A board that is busy,
-    /// as while it writes a new configuration to flash, is asked again.
-    fn command(&mut self, name: &'static str, message: &HostMessage) -> Result<(), LinkError> {
-        let patience = self.port.elapsed() + ANSWER;
-        loop {
-            let sent = self.send(message)?;
-            let answer = self.wait_for(ANSWER, |message| match message {
-                DeviceMessage::Ack { of } if *of == sent => Some(Ok(())),
-                DeviceMessage::Nack { of, reason } if *of == sent => Some(Err(*reason)),
-                _ => None,
-            })?;
-            match answer {
-                Ok(()) => return Ok(()),
-                Err(Refusal::Busy) if self.port.elapsed() < patience => {
-                    match self.wait_for(ASK_AGAIN, |_| None::<()>) {
-                        Ok(()) | Err(LinkError::NoAnswer { .. }) => {}
-                        Err(error) => return Err(error),
-                    }
-                }
-                Err(reason) => return Err(LinkError::Refused { command: name, reason }),
+        self.tally.received += 1;
+        if let Some(last) = self.last.back() {
+            let gap = header.sequence.wrapping_sub(last.sequence).wrapping_sub(1);
+            // Only a restart sets the board's clock or its sequence back.
+            if header.time_us < last.time_us || gap > u32::MAX / 2 {
+                self.tally.restarts += 1;
+            } else {
+                self.tally.lost += u64::from(gap);
+                self.tally.longest_gap = self.tally.longest_gap.max(u64::from(gap));
             }
         }
+        if self.last.len() == REMEMBERED {
+            self.last.pop_front();
+        }
+        self.last.push_back(header);
+        true
     }
 
     /// Waits for the first message `wanted` takes, and removes it; the others stay in order.
-    fn wait_for<T>(
+    pub(super) fn wait_for<T>(
         &mut self,
         wait: Duration,
         mut wanted: impl FnMut(&DeviceMessage) -> Option<T>,
     ) -> Result<T, LinkError> {
         let deadline = self.port.elapsed() + wait;
+        self.search(deadline, Attention::Ordinary, |received| wanted(&received.message))?
+            .ok_or(LinkError::NoAnswer { waited_ms: wait.as_millis() as u64 })
+    }
+
+    pub(super) fn search<T>(
+        &mut self,
+        deadline: Duration,
+        attention: Attention,
+        mut wanted: impl FnMut(&Received) -> Option<T>,
+    ) -> Result<Option<T>, LinkError> {
         let mut looked_at = 0;
         loop {
             while let Some(received) = self.inbox.get(looked_at) {
-                if let Some(answer) = wanted(&received.message) {
+                if let Some(answer) = wanted(received) {
                     self.inbox.remove(looked_at);
-                    return Ok(answer);
+                    return Ok(Some(answer));
                 }
                 looked_at += 1;
             }
             if self.port.elapsed() >= deadline {
-                return Err(LinkError::NoAnswer { waited_ms: wait.as_millis() as u64 });
+                return Ok(None);
             }
-            self.fill(deadline)?;
+            self.fill(deadline, attention)?;
         }
-    }
-
-    /// Asks who the device is. Tries for three seconds: a board that was just opened may still boot.
-    ///
-    /// # Errors
-    /// No answer, or another protocol version.
-    pub fn hello(&mut self) -> Result<Identity, LinkError> {
-        let mut result = Err(LinkError::NoAnswer { waited_ms: 3_000 });
-        for _ in 0..6 {
-            self.send(&HostMessage::Hello)?;
-            let answer = self.wait_for(Duration::from_millis(500), |message| match message {
-                DeviceMessage::Hello(identity) => Some(identity.clone()),
-                _ => None,
-            });
-            match answer {
-                Ok(identity) => return Ok(identity),
-                Err(LinkError::NoAnswer { .. }) => {}
-                Err(error) => {
-                    result = Err(error);
-                    break;
-                }
-            }
-        }
-        result
-    }
-
-    /// Sets the configuration.
-    ///
-    /// # Errors
-    /// Refused, or no answer.
-    pub fn configure(&mut self, configuration: Configuration) -> Result<(), LinkError> {
-        self.command("the configuration", &HostMessage::Configure(configuration))
-    }
-
-    /// Aligns the motor and waits for the end of it.
-    ///
-    /// # Errors
-    /// Refused, the fault it ended in, or no answer.
-    pub fn align(&mut self) -> Result<(), LinkError> {
-        self.command("alignment", &HostMessage::Align)?;
-        self.wait_for(ALIGNMENT, |message| match message {
-            DeviceMessage::Aligned => Some(Ok(())),
-            DeviceMessage::Fault(report) => Some(Err(LinkError::Fault(report.fault))),
-            DeviceMessage::Status(status) if status.mode == Mode::Fault => {
-                Some(Err(LinkError::Fault(status.fault.unwrap_or(Fault::AlignFailed))))
-            }
-            _ => None,
-        })?
-    }
-
-    /// Allows runs.
-    ///
-    /// # Errors
-    /// Refused, or no answer.
-    pub fn arm(&mut self) -> Result<(), LinkError> {
-        self.command("arming", &HostMessage::Arm)
-    }
-
-    /// Chooses the capture streams.
-    ///
-    /// # Errors
-    /// Refused, or no answer.
-    pub fn capture(&mut self, mode: CaptureMode) -> Result<(), LinkError> {
-        self.command("the capture mode", &HostMessage::Capture(mode))
-    }
-
-    /// Starts a run at constant duty.
-    ///
-    /// # Errors
-    /// Refused, or no answer.
-    pub fn start_speed(&mut self, run: SpeedRun) -> Result<(), LinkError> {
-        self.command("the run", &HostMessage::Speed(run))
-    }
-
-    /// Starts a closed-loop run.
-    ///
-    /// # Errors
-    /// Refused, or no answer.
-    pub fn start_track(&mut self, run: TrackRun) -> Result<(), LinkError> {
-        self.command("the run", &HostMessage::Track(run))
-    }
-
-    /// Passes a line to the driver board.
-    ///
-    /// # Errors
-    /// Refused, or no answer.
-    pub fn driver(&mut self, line: heapless::String<64>) -> Result<(), LinkError> {
-        self.command("the driver line", &HostMessage::Driver(line))
-    }
-
-    /// Stops the motor, clears faults, disarms.
-    ///
-    /// # Errors
-    /// No answer.
-    pub fn stop(&mut self) -> Result<(), LinkError> {
-        self.command("stopping", &HostMessage::Stop)
-    }
-
-    /// Restarts the device.
-    ///
-    /// # Errors
-    /// Refused, or no answer.
-    pub fn reboot(&mut self) -> Result<(), LinkError> {
-        self.command("the reboot", &HostMessage::Reboot)
     }
 }

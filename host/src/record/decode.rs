@@ -1,11 +1,12 @@
 //! From the raw frames of a recording to messages, with every loss counted.
 
+use super::protocol_1::{self, Recorded};
 use super::store::{Entry, Integrity, Metadata, Reader, Sender, StoreError};
 use serde::Serialize;
 use std::fs::File;
 use std::io::{Read, Seek};
 use std::path::Path;
-use twum_shared::frame::{self, FrameError, Header, MAX_ENCODED};
+use twum_shared::frame::{FrameError, Header, MAX_ENCODED};
 use twum_shared::message::{DeviceMessage, HostMessage};
 
 /// One decoded thing of a recording.
@@ -161,10 +162,10 @@ impl<S: Read + Seek> Decoder<S> {
     }
 }
 
-fn decode<M: frame::Message>(bytes: &[u8]) -> Result<(Header, M), FrameError> {
+fn decode<M: Recorded>(bytes: &[u8]) -> Result<(Header, M), FrameError> {
     let mut block = [0; MAX_ENCODED];
     let Some((0, content)) = bytes.split_last() else { return Err(FrameError::NotAFrame) };
     let block = block.get_mut(..content.len()).ok_or(FrameError::TooLong)?;
     block.copy_from_slice(content);
-    frame::decode(block)
+    protocol_1::decode(block)
 }

@@ -9,6 +9,7 @@ pub mod live_server;
 pub mod load;
 pub mod measurement;
 pub mod plot;
+mod protocol_1;
 pub mod recording;
 pub mod store;
 

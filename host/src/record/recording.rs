@@ -312,9 +312,9 @@ impl Builder {
 
     fn host(&mut self, host_time_ns: u64, message: HostMessage) {
         match &message {
-            HostMessage::Keepalive => return,
-            HostMessage::Speed(run) => self.command = Command::Speed(*run),
-            HostMessage::Track(run) => self.command = Command::Track(run.clone()),
+            HostMessage::Keepalive { .. } | HostMessage::AskPass { .. } => return,
+            HostMessage::Speed { run, .. } => self.command = Command::Speed(*run),
+            HostMessage::Track { run, .. } => self.command = Command::Track(run.clone()),
             _ => {}
         }
         self.event(host_time_ns, EventKind::Command(format!("{message:?}")));
@@ -330,7 +330,7 @@ impl Builder {
                 return;
             }
             DeviceMessage::Hello(identity) => EventKind::Hello(identity),
-            DeviceMessage::Ack { .. } => return,
+            DeviceMessage::Ack { .. } | DeviceMessage::Pass(_) => return,
             DeviceMessage::Nack { of, reason } => {
                 self.command = Command::Unknown;
                 EventKind::Refused(format!("{of}: {reason}"))
@@ -366,6 +366,7 @@ impl Builder {
             }
             DeviceMessage::DriverDone => EventKind::Log("driver: done".to_owned()),
             DeviceMessage::Log(line) => EventKind::Log(line.as_str().to_owned()),
+            DeviceMessage::Losses(lost) => EventKind::Log(format!("lost since the board's start: {lost:?}")),
         };
         self.event(host_time_ns, kind);
     }

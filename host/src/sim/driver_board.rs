@@ -33,6 +33,8 @@ struct Work {
     line: Line,
     at: usize,
     repeats: u16,
+    /// Microsteps to come before the next command, and their way.
+    steps: (u16, bool),
     ready_us: u64,
 }
 
@@ -89,7 +91,7 @@ impl DriverBoard {
             Ok(line) => {
                 let repeats = line.iter().find_map(|c| if let Command::Repeat(n) = c { Some(*n) } else { None });
                 let repeats = repeats.unwrap_or(1);
-                self.work = Some(Work { line, at: 0, repeats, ready_us: now_us + LINE_US });
+                self.work = Some(Work { line, at: 0, repeats, steps: (0, false), ready_us: now_us + LINE_US });
             }
             Err(_) => reply(to_host, now_us, "?\r\n"),
         }
@@ -97,6 +99,15 @@ impl DriverBoard {
 
     fn execute(&mut self, now_us: u64, to_host: &Wire, high: bool) -> f64 {
         let Some(work) = &mut self.work else { return 0.0 };
+        if let (1.., back) = work.steps {
+            work.steps.0 -= 1;
+            work.ready_us = now_us + MICROSTEP_US;
+            return match self.health {
+                DriverHealth::Lame => 0.0,
+                _ if back => -MICROSTEP_RAD,
+                _ => MICROSTEP_RAD,
+            };
+        }
         let Some(&command) = work.line.get(work.at) else {
             work.repeats = work.repeats.saturating_sub(1);
             work.at = 0;
@@ -113,13 +124,7 @@ impl DriverBoard {
                 reply(to_host, now_us, &format!("ap {millivolts} {} \r\n", u8::from(high)));
                 work.ready_us = now_us + 200;
             }
-            Command::Microsteps { count, back } => {
-                work.ready_us = now_us + MICROSTEP_US * u64::from(count);
-                if self.health != DriverHealth::Lame {
-                    let sign = if back { -1.0 } else { 1.0 };
-                    return sign * MICROSTEP_RAD * f64::from(count);
-                }
-            }
+            Command::Microsteps { count, back } => work.steps = (count, back),
             Command::HardwareMode => {
                 self.hardware = true;
                 self.work = None;

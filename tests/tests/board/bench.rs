@@ -4,7 +4,7 @@ use std::time::Duration;
 use twum_host::link::{LinkError, Received, Session, SimulatedLink};
 use twum_host::sim::{Board, Setup};
 use twum_shared::message::{
-    CaptureMode, Configuration, DeviceMessage, FaultReport, HostMessage, Mode, SpeedRun, TrackRun,
+    CaptureMode, Configuration, DeviceMessage, FaultReport, Identity, Mode, SpeedRun, TrackRun,
 };
 use twum_shared::reference::Reference;
 use twum_shared::step::ConfigSpec;
@@ -68,10 +68,19 @@ impl Bench {
             let left = Duration::from_micros(end_us - self.board().now_us());
             match self.session.next(left) {
                 Ok(Some(received)) => self.seen.push(received),
-                Ok(None) => {}
+                Ok(None) | Err(LinkError::Restarted) => {}
                 Err(error) => panic!("{error}"),
             }
         }
+    }
+
+    /// Who the board is, also of one that restarted in the middle of something.
+    pub fn hello(&mut self) -> Identity {
+        match self.session.hello() {
+            Err(LinkError::Restarted) => self.session.hello(),
+            other => other,
+        }
+        .expect("the board answers")
     }
 
     /// Ticks until the pins hold the motor off, with the host alive or silent. Panics after `limit`.
@@ -81,7 +90,7 @@ impl Bench {
                 return tick;
             }
             if host_alive && tick % 100 == 0 {
-                self.session.send(&HostMessage::Keepalive).expect("the link is up");
+                self.session.keep_alive().expect("the link is up");
             }
             self.board().run_for(TICK_US);
         }

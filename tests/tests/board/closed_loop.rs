@@ -11,7 +11,7 @@ use std::rc::Rc;
 use twum_host::sim::{Disturbance, FirstOrderMotor, Setup, SimulatedMotor};
 use twum_shared::Direction;
 use twum_shared::encoder::CountSign;
-use twum_shared::message::{Configuration, HostMessage, Mode, TrackRun};
+use twum_shared::message::{Configuration, Mode, TrackRun};
 use twum_shared::reference::{Reference, WayPoint};
 use twum_shared::step::{Config, ConfigSpec, DriveLaw};
 
@@ -188,7 +188,7 @@ fn outcome(case: &Case) -> Result<(String, f64), TestCaseError> {
         }
         if elapsed_us >= next_keepalive_us {
             next_keepalive_us = elapsed_us + 100_000;
-            bench.session.send(&HostMessage::Keepalive).expect("the link is up");
+            bench.session.keep_alive().expect("the link is up");
         }
         bench.board().run_for(period_us);
         let (mode, count, off) = (bench.board().mode(), bench.board().count(), bench.board().output_is_off());

@@ -326,7 +326,7 @@ const MODES: [(&str, Make); 6] = [
 fn aligning() -> Bench {
     let mut bench = Bench::new(Setup::default());
     bench.session.configure(default_configuration()).expect("configuration");
-    bench.session.send(&twum_shared::message::HostMessage::Align).expect("the link is up");
+    bench.session.begin_alignment().expect("the link is up");
     bench.wait(150);
     assert_eq!(bench.board().mode(), Mode::Aligning);
     bench
@@ -393,7 +393,7 @@ fn a_reset_while_running_leaves_the_motor_off_and_nothing_resumes() {
             }
             let coasted_deg = (bench.board().angle_rad() - before_rad).to_degrees();
             assert!(coasted_deg.abs() < 2.0, "{cause:?}: the rotor went on for {coasted_deg}°");
-            let identity = bench.session.hello().expect("the board answers");
+            let identity = bench.hello();
             assert_eq!((identity.reset, identity.mode, identity.fault), (cause, Mode::Idle, None));
             assert!(bench.session.start_speed(speed(HALF, Direction::Cw, 100)).is_err(), "{cause:?}: run without arm");
             assert!(bench.session.arm().is_err(), "{cause:?}: arm without configuration and alignment");
@@ -418,7 +418,7 @@ fn a_brown_out_at_any_moment_of_alignment_leaves_the_motor_off_and_can_be_aligne
         for after_ms in (1..ALIGNMENT_MS).step_by(25) {
             let mut bench = Bench::new(Setup { driver: DriverHealth::Well, ..Setup::default() });
             bench.session.configure(default_configuration()).expect("configuration");
-            bench.session.send(&twum_shared::message::HostMessage::Align).expect("the link is up");
+            bench.session.begin_alignment().expect("the link is up");
             for _ in 0..after_ms {
                 bench.board().run_for(1_000);
                 assert!(bench.board().output_is_off(), "alignment goes without PWM");
@@ -432,7 +432,7 @@ fn a_brown_out_at_any_moment_of_alignment_leaves_the_motor_off_and_can_be_aligne
                 bench.board().run_for(1_000);
                 assert!(bench.board().output_is_off(), "{after_ms} ms: the output stays off");
             }
-            let identity = bench.session.hello().expect("the board answers");
+            let identity = bench.hello();
             assert_eq!((identity.reset, identity.mode, identity.fault), (ResetCause::BrownOut, Mode::Idle, None));
             bench.session.configure(default_configuration()).expect("configuration");
             assert!(bench.session.arm().is_err(), "{after_ms} ms: half an alignment is none");

@@ -158,8 +158,9 @@ fn a_pulled_cable_leaves_the_motor_off_and_the_recording_goes_on_with_its_gap_ma
             }
         }
     }
-    assert_eq!(remarks.len(), 2, "{remarks:?}");
+    assert_eq!(remarks.len(), 3, "{remarks:?}");
     assert!(remarks[0].contains("lost") && remarks[1].contains("reconnected"), "{remarks:?}");
+    assert!(remarks[2].contains("cut short: fault CommandTimeout"), "{remarks:?}");
     assert!(before > 50 && after > 3, "{before} frames before, {after} after");
 }
 
@@ -175,7 +176,7 @@ struct BusyBoard {
 impl Port for BusyBoard {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         for byte in bytes {
-            if let Some(Ok((header, HostMessage::Arm))) = self.decoder.push::<HostMessage>(*byte) {
+            if let Some(Ok((header, HostMessage::Configure(_)))) = self.decoder.push::<HostMessage>(*byte) {
                 let of = header.sequence;
                 let answer = if self.now < self.busy_until {
                     DeviceMessage::Nack { of, reason: Refusal::Busy }
@@ -213,7 +214,7 @@ fn a_busy_board_is_asked_again_and_not_for_ever() {
         let (now, decoder, answers) = (Duration::ZERO, Decoder::new(), Vec::new());
         Session::new(BusyBoard { busy_until, now, decoder, answers, asked: 0 })
     };
-    board(Duration::from_millis(400)).arm().unwrap();
-    let error = board(Duration::MAX).arm().unwrap_err();
+    board(Duration::from_millis(400)).configure(default_configuration()).unwrap();
+    let error = board(Duration::MAX).configure(default_configuration()).unwrap_err();
     assert!(matches!(error, LinkError::Refused { reason: Refusal::Busy, .. }), "{error}");
 }

@@ -3,9 +3,13 @@
 mod bench;
 mod chaos;
 mod closed_loop;
+mod dead_encoder;
 mod document;
 mod faults;
+mod holding;
 mod link;
 mod recording;
 mod runs;
+mod saturated_link;
 mod soak;
+mod text_mode;

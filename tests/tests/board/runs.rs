@@ -45,7 +45,7 @@ fn a_driver_board_that_is_not_well_ends_alignment_in_its_fault_in_bounded_time()
 #[test]
 fn stopping_ends_an_alignment_and_the_next_one_succeeds() {
     let mut bench = Bench::new(Setup::default());
-    bench.session.send(&twum_shared::message::HostMessage::Align).unwrap();
+    bench.session.begin_alignment().unwrap();
     bench.wait(120);
     assert_eq!(bench.board().mode(), Mode::Aligning);
     bench.session.stop().unwrap();

@@ -4,7 +4,7 @@ use crate::record::recording::Recording;
 use crate::record::synthetic::{Line, bits_block, configured, control_blocks, edges_block};
 use tempfile::TempDir;
 use twum_shared::Duty;
-use twum_shared::message::{DeviceMessage, HostMessage, RunEnd, SpeedRun, TrackRun};
+use twum_shared::message::{DeviceMessage, HostMessage, Pass, RunEnd, SpeedRun, TrackRun};
 use twum_shared::reference::Reference;
 use twum_shared::step::ConfigSpec;
 
@@ -15,7 +15,7 @@ fn recording(dir: &TempDir) -> Recording {
     line.device(configured(ConfigSpec::THESIS));
     line.device(DeviceMessage::Aligned);
     let run = SpeedRun { duty: Duty::from_ratio(1, 2), direction: twum_shared::Direction::Ccw, duration_ms: 400 };
-    line.host(HostMessage::Speed(run));
+    line.host(HostMessage::Speed { pass: Pass::default(), run });
     line.now_us = 100_000;
     line.device(DeviceMessage::RunStarted { start_us: 100_000 });
     for index in 0..10 {
@@ -34,7 +34,7 @@ fn recording(dir: &TempDir) -> Recording {
     }
     let start_us = line.now_us + 1000;
     let reference = Reference::Sine { amplitude: 60, omega_urad_s: 1_000_000 };
-    line.host(HostMessage::Track(TrackRun { reference, duration_ms: 40 }));
+    line.host(HostMessage::Track { pass: Pass::default(), run: TrackRun { reference, duration_ms: 40 } });
     line.device(DeviceMessage::RunStarted { start_us });
     for block in control_blocks(ConfigSpec::THESIS, start_us, 5) {
         line.now_us = block.first_us + 8000;
