@@ -104,8 +104,7 @@ impl Runner {
         let answered = made
             .folder
             .write(&folder)
-            .map_err(|e| e.to_string())
-            .map_err(Failure::Said)
+            .map_err(|e| Failure::Said(e.to_string()))
             .and_then(|()| self.ask(&folder, without));
         let seconds = start.elapsed().as_secs_f64();
         let twin = case.kind == Kind::Single && self.twins > 0 && (case.seed / 16).is_multiple_of(self.twins);
