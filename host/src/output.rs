@@ -369,7 +369,7 @@ fn beside(path: &Path, there: Option<&Metadata>) -> io::Result<NamedTempFile> {
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let folder = folder_of(path);
     // The system's own words for a folder that is not there: those of the library that makes temporary files are others.
-    fs::metadata(&folder)?;
+    fs::metadata(folder)?;
     let held = builder.tempfile_in(folder)?;
     if let Some(there) = there {
         held.as_file().set_permissions(there.permissions())?;
