@@ -178,7 +178,7 @@ pub fn write(path: impl AsRef<Path>, content: impl AsRef<[u8]>, existing: Existi
 /// Writes a file anew that this program has read in order to change it.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn rewrite(path: impl AsRef<Path>, content: impl AsRef<[u8]>) -> Result<(), OutputError> {
     let path = path.as_ref();
     let real = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
