@@ -228,8 +228,9 @@ impl Problem {
                     advance += terms.encoder_error(run.angles[w.to]) - terms.encoder_error(run.angles[w.from]);
                 }
                 if track && (backlash != 0.0 || miscount != 0.0 || drift != 0.0) {
-                    let inside = |t: f64| t > run.times[w.from] && t <= run.times[w.to];
-                    for (_, sign) in run.reversals.iter().filter(|(t, _)| inside(*t)) {
+                    // Thousands in a loop that chatters: they are sorted by time.
+                    let until = |t: f64| run.reversals.partition_point(|r| r.0 <= t);
+                    for (_, sign) in &run.reversals[until(run.times[w.from])..until(run.times[w.to])] {
                         advance += (sign * miscount + drift) * run.pitch - sign * backlash;
                     }
                 }

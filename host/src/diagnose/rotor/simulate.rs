@@ -34,6 +34,9 @@ const LONGEST_S: f64 = 0.02;
 const LONGEST_OVER_ANGLE_S: f64 = 4e-3;
 /// Step in s while friction changes with a speed that is not far above the Stribeck speed.
 const STRIBECK_S: f64 = 2.5e-4;
+/// Time in s in which the contact takes up the last of a speed difference, at least: a narrower band would be crossed back and forth within
+/// one step.
+const SHORTEST_S: f64 = 1e-7;
 /// Settling times after which nothing is left of it (e⁻⁹).
 const SETTLED: f64 = 9.0;
 /// Change of the speed over a period, relative to the free speed, below which periods repeat each other.
@@ -330,7 +333,7 @@ impl<'a> Simulation<'a> {
                 let drive = if on { 1.0 } else { 0.0 };
                 self.sagged = drive + (self.sagged - drive) * (-(end - self.t) / p.get(P::SagTime).max(1e-4)).exp();
             }
-            let band = (band_fraction * target.abs()).max(1e-6);
+            let band = (band_fraction * target.abs()).max(SHORTEST_S * acceleration);
             while self.t < end - 1e-12 && !self.done() {
                 let piece = if on {
                     on_piece(self.speed, target, acceleration, band, external)
