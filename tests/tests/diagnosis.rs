@@ -196,7 +196,7 @@ fn a_notch_at_one_duty_names_nothing() {
 
 /// What the test above should find.
 #[test]
-#[ignore = "known shortfall: two trials of 1.5 s are too few for the null to see a notch at one duty; three of 2.5 s are enough (docs/detection.md)"]
+#[ignore = "known shortfall: two trials of 1.5 s are too few for the null to see a notch at one duty; three of 2.5 s are enough"]
 fn a_notch_at_one_duty_is_unknown() {
     let d = through_a_folder(&[hide("outside-notch", 1.5, 14)], 14, &[]);
     assert_eq!(d.verdict, Verdict::Unknown, "{:?} {:?}", d.suspected(), d.unknown);
