@@ -130,7 +130,11 @@ fn clock_explains(problem: &Problem, baseline: &Model, gaps: &Gaps) -> bool {
 fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
     let scorer = Scorer::new(ground, settings.seed);
     let root = sets.iter().find(|s| s.parts.is_empty()).unwrap_or(&sets[0]);
-    let mut judged = judge(sets, root.weighed.left, &|k, tau| ground.level.log_prior_of(k, tau));
+    let twins = |a: usize, b: usize| {
+        let angle = |e: usize| ground.effects[e].coordinate == Coordinate::Angle;
+        angle(a) && angle(b)
+    };
+    let mut judged = judge(sets, root.weighed.left, &twins, &|k, tau| ground.level.log_prior_of(k, tau));
     let uncertain = strike_uncertain(ground, &scorer, sets, root, &mut judged, settings.seed);
     let accepted = accepted_set(sets, &judged, root);
     let base = scorer.held_out(root);

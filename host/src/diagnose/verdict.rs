@@ -10,6 +10,8 @@ use super::search::Set;
 pub const NAMED: f64 = 0.95;
 /// Least probability with which an effect is still mentioned as a rival.
 pub const POSSIBLE: f64 = 0.05;
+/// Nats by which one of two twins has to lead: what a second effect over one coordinate costs, for the same reason.
+const TWINS: f64 = 10.0;
 /// Share of all that is removed that a term without physics may remove beside a cause: more, and the cause is not what there is to see.
 const MOST_BESIDE: f64 = 0.4;
 /// Nats that a spread of gains over duty, direction or order may cost against what is believed of it: beyond, something moves the gains
@@ -35,8 +37,14 @@ pub struct Judgement {
     pub withheld: bool,
 }
 
-/// Judges the visited sets, best first. `without` is the squared error without effects.
-pub fn judge(sets: &[Set], without: f64, log_prior_of_spread: &dyn Fn(usize, f64) -> f64) -> Judgement {
+/// Judges the visited sets, best first. `without` is the squared error without effects; `twins` says which effects do the same to the data
+/// but for their form.
+pub fn judge(
+    sets: &[Set],
+    without: f64,
+    twins: &dyn Fn(usize, usize) -> bool,
+    log_prior_of_spread: &dyn Fn(usize, f64) -> f64,
+) -> Judgement {
     let best = &sets[0];
     let weights: Vec<f64> = sets.iter().map(|s| (s.score - best.score).exp()).collect();
     let total: f64 = weights.iter().sum();
@@ -62,6 +70,20 @@ pub fn judge(sets: &[Set], without: f64, log_prior_of_spread: &dyn Fn(usize, f64
     }
     if probability(&|s| s.key().iter().any(|k| one_of.contains(k))) < NAMED {
         one_of.clear();
+    }
+    // A twin that is behind by no more than forms differ is a rival, whatever the probabilities.
+    let rivals: Vec<(usize, usize)> = named
+        .iter()
+        .flat_map(|e| sets.iter().filter(|s| s.score > best.score - TWINS).flat_map(Set::key).map(move |r| (*e, r)))
+        .filter(|(e, r)| e != r && twins(*e, *r) && !named.contains(r))
+        .collect();
+    for (effect, rival) in rivals {
+        named.retain(|e| *e != effect);
+        for e in [effect, rival] {
+            if !one_of.contains(&e) {
+                one_of.push(e);
+            }
+        }
     }
     let after = best.terms.last().map_or(best.weighed.left, |t| t.1);
     let removed = (without - after).max(1e-12);
