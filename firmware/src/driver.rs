@@ -166,13 +166,12 @@ async fn pass<P: DriverPort>(shared: &Shared, port: &mut P, line: &str) -> Resul
                 Text::Microsteps { count, back } => step(port, count, back).await?,
                 Text::SensorReport => {
                     let reply = ask(port, &[Text::SensorReport], 1).await?;
-                    shared.tell(Event::DriverReply(reply));
+                    shared.tell(Event::DriverReply(reply.tail));
                 }
                 Text::StopWhen { .. } => {
                     // As in the thesis's own line: the second reading comes unless the condition ends the repetition.
                     let twice = [Text::SensorReport, command, Text::Repeat(2)];
-                    let reply = ask(port, &twice, 2).await?;
-                    if lines(&reply) < 2 {
+                    if ask(port, &twice, 2).await?.lines < 2 {
                         return Ok(());
                     }
                 }
@@ -198,25 +197,32 @@ async fn step<P: DriverPort>(port: &mut P, count: u16, back: bool) -> Result<(),
     Ok(())
 }
 
-/// Sends a line and gives its reply, of so many lines at most.
-async fn ask<P: DriverPort>(port: &mut P, commands: &[Text], most_lines: usize) -> Result<Vec<u8, 64>, Silent> {
+/// A reply: its last bytes, and how many lines it had.
+struct Reply {
+    tail: Vec<u8, 64>,
+    lines: usize,
+}
+
+/// Sends a line and takes its reply, up to so many line ends or a pause.
+async fn ask<P: DriverPort>(port: &mut P, commands: &[Text], most_lines: usize) -> Result<Reply, Silent> {
     send(port, &Line::from_slice(commands).unwrap_or_default()).await;
-    let mut reply: Vec<u8, 64> = Vec::new();
+    let mut reply = Reply { tail: Vec::new(), lines: 0 };
     let mut wait_ms = REPLY_MS;
     let mut byte = [0u8; 1];
-    while lines(&reply) < most_lines && !reply.is_full() {
+    while reply.lines < most_lines {
         match with_timeout(Duration::from_millis(u64::from(wait_ms)), port.read(&mut byte)).await {
-            Ok(Ok(1)) => _ = reply.push(byte[0]),
+            Ok(Ok(1)) => {
+                if reply.tail.is_full() {
+                    reply.tail.remove(0);
+                }
+                let _ = reply.tail.push(byte[0]);
+                reply.lines += usize::from(byte[0] == b'\n');
+            }
             Ok(_) => {}
-            Err(_) if reply.is_empty() => return Err(Silent),
+            Err(_) if reply.tail.is_empty() => return Err(Silent),
             Err(_) => break,
         }
         wait_ms = QUIET_MS;
     }
     Ok(reply)
-}
-
-/// Line ends in a reply.
-fn lines(reply: &[u8]) -> usize {
-    reply.iter().filter(|&&byte| byte == b'\n').count()
 }

@@ -20,11 +20,14 @@
 pub mod control;
 pub mod driver;
 pub mod encoder;
+pub mod fatal;
 pub mod link;
 mod mailbox;
 pub mod output;
 pub mod queues;
 pub mod shared;
+pub mod stage;
+pub mod standstill;
 pub mod store;
 pub mod watchdog;
 

@@ -25,7 +25,7 @@ pub enum Command {
     PassthroughEnded(u32),
 }
 
-/// Host commands the control interrupt decides on. Stopping is none of them: it has a slot of its own, [`Shared::ask_stop`].
+/// Host commands the control interrupt decides on. Stopping is none of them: it has a slot of its own, `Shared::ask_stop`.
 #[derive(Clone, Debug)]
 pub enum Request {
     /// Say who and how the device is.

@@ -13,8 +13,8 @@ use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage};
 use twum_shared::message::Configuration;
 
-/// Changes with every change of [`Configuration`].
-const VERSION: u8 = 1;
+/// Changes with every change of [`Configuration`], or of what its numbers mean.
+const VERSION: u8 = 2;
 /// Longest record, and room to align it.
 const BUFFER: usize = 256;
 static CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
@@ -109,9 +109,9 @@ mod tests {
     extern crate std;
     use super::*;
     use crate::control::Control;
-    use crate::output::{Output, OutputStage};
+    use crate::output::{Latch, Output, OutputStage};
     use crate::queues::Queues;
-    use crate::shared::{Command, Event, Request};
+    use crate::shared::{Asked, Command, Event, Request};
     use embassy_futures::block_on;
     use embedded_storage_async::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind, ReadNorFlash};
     use std::vec::Vec;
@@ -244,7 +244,9 @@ mod tests {
     impl OutputStage for NoStage {
         fn off(&mut self) {}
         fn drive(&mut self, _: Duty, _: Direction) {}
-        fn restart_period(&mut self) {}
+        fn period_began(&mut self) -> Option<u32> {
+            None
+        }
         fn set_frequency(&mut self, _: u16) {}
         fn mark(&mut self, _: bool) {}
     }
@@ -253,7 +255,8 @@ mod tests {
     fn the_motor_cannot_be_armed_until_its_configuration_is_kept() {
         let (shared, mut queues) = (Shared::new(), Queues::new());
         let (ends, _, _) = queues.split();
-        let mut control = Control::new(&shared, ends, Output::boot(NoStage), ResetCause::PowerOn);
+        static LATCH: Latch = Latch::new();
+        let mut control = Control::new(&shared, ends, Output::boot(NoStage, &LATCH), ResetCause::PowerOn);
         let mut answer = |request| {
             assert!(shared.commands.push(Command::Host(7, request)).is_ok());
             control.tick(0, 0, false, || 0);
@@ -263,16 +266,17 @@ mod tests {
                 _ => None,
             })
         };
+        let asked = Asked { token: 1, heard_us: 0 };
         shared.will_keep();
         assert_eq!(answer(Request::Configure(configuration(50))), Some(None));
-        assert_eq!(answer(Request::Arm), Some(Some(Refusal::Busy)));
+        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::Busy)));
         assert_eq!(block_on(shared.to_keep()), configuration(50));
         assert_eq!(answer(Request::Configure(configuration(60))), Some(None));
         shared.kept();
-        assert_eq!(answer(Request::Arm), Some(Some(Refusal::Busy)), "the newer one is still to be kept");
+        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::Busy)), "the newer one is still to be kept");
         assert_eq!(block_on(shared.to_keep()), configuration(60));
         shared.kept();
-        assert_eq!(answer(Request::Arm), Some(Some(Refusal::NotAligned)), "keeping no longer stands in the way");
+        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::NotAligned)), "keeping no longer stands in the way");
     }
 
     #[test]

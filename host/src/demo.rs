@@ -11,6 +11,7 @@ use crate::link::{LinkError, Session, SimulatedLink, Tally};
 use crate::model::effects::{EffectError, EffectSet};
 use crate::model::motor::Motor;
 use crate::model::parameters::Flavour;
+use crate::output::{NewFolder, Output, OutputError};
 use crate::record::load::LoadError;
 use crate::record::measurement::ControlSpec;
 use crate::record::store::{Entry, Reader, Sender, StoreError};
@@ -18,9 +19,8 @@ use crate::report::figure::{Figure, FigureError, Panel};
 use crate::sim::{NotOnABoard, Setup};
 use hidden::{Found, Hide};
 use serde::Serialize;
-use std::fs;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use thiserror::Error;
 use twum_shared::frame;
 use twum_shared::message::{CaptureMode, Configuration, ControlBlock, DeviceMessage, RunEnd, TrackRun};
@@ -58,14 +58,12 @@ pub enum DemoError {
     /// The pictures.
     #[error(transparent)]
     Figure(#[from] FigureError),
+    /// The folder of the experiment.
+    #[error("cannot make the experiment's folder: {0}")]
+    Folder(std::io::Error),
     /// The other files.
-    #[error("{}: {reason}", path.display())]
-    File {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        reason: std::io::Error,
-    },
+    #[error(transparent)]
+    Output(#[from] OutputError),
 }
 
 /// How well one run tracked, and what was checked about it.
@@ -115,10 +113,10 @@ pub struct Demo {
 /// # Errors
 /// When the folder exists or a file in it cannot be written; for an effect that a board cannot have.
 pub fn run(folder: &Path, hide: &Hide, seed: u64, mut progress: impl FnMut(&str)) -> Result<Demo, DemoError> {
-    fs::create_dir(folder).map_err(|reason| DemoError::File { path: folder.to_owned(), reason })?;
+    let mut folder = NewFolder::begin(folder)?;
     let mut summaries = Vec::new();
-    let recordings = folder.join("experiment");
-    fs::create_dir(&recordings).map_err(|reason| DemoError::File { path: recordings.clone(), reason })?;
+    let recordings = folder.path().join("experiment");
+    std::fs::create_dir(&recordings).map_err(DemoError::Folder)?;
     let (page, diagnosis) = hidden::experiment(&recordings, hide, seed, &mut progress)?;
     let hidden = diagnosis.hidden.as_deref().unwrap_or("nothing");
     let mut page = page
@@ -135,22 +133,23 @@ pub fn run(folder: &Path, hide: &Hide, seed: u64, mut progress: impl FnMut(&str)
     );
     for (name, control) in [("thesis", ControlSpec::Thesis), ("default", ControlSpec::Default)] {
         progress(&format!("tracking with `{name}`"));
-        let recording = folder.join(format!("{name}.mcap"));
+        let recording = folder.path().join(format!("{name}.mcap"));
         let link = track(&recording, control)?;
         progress(&format!("checking `{name}`"));
         let (ticks, replay) = read_back(&recording)?;
-        write_csv(&folder.join(format!("{name}.csv")), &ticks)?;
+        folder.file(format!("{name}.csv"), |out| write_csv(out, &ticks))?;
         let figure = figure(name, &ticks);
         for extension in ["svg", "png"] {
-            figure.write(folder.join(format!("{name}.{extension}")))?;
+            figure.write(folder.path().join(format!("{name}.{extension}")))?;
         }
         let summary = summarise(name, &ticks, link, replay);
         page = page.heading(&format!("Controller `{name}`")).figure(&figure, "Position, error and duty of the run.")?;
         summaries.push(summary);
     }
     let page = page.heading("Table").table(&table_header(), &table_rows(&summaries));
-    let report = folder.join("report.html");
-    page.write(&report).map_err(|reason| DemoError::File { path: report, reason })?;
+    page.write(folder.path().join("report.html"))?;
+    folder.file("diagnosis.json", |out| write_json(out, &diagnosis))?;
+    folder.finish()?;
     Ok(Demo { diagnosis, controllers: summaries })
 }
 
@@ -253,18 +252,21 @@ fn figure(name: &str, ticks: &Ticks) -> Figure {
         .panel(Panel::new("time (s)", "duty (signed)").line("duty", &ticks.against_time(ticks.duty.iter().copied())))
 }
 
-fn write_csv(path: &Path, ticks: &Ticks) -> Result<(), DemoError> {
-    let file = |reason| DemoError::File { path: path.to_owned(), reason };
-    let mut out = std::io::BufWriter::new(fs::File::create_new(path).map_err(file)?);
+fn write_json(out: &mut Output, found: &Found) -> Result<(), DemoError> {
+    let text = serde_json::to_string_pretty(found)?;
+    writeln!(out, "{text}").map_err(|reason| out.failed(reason).into())
+}
+
+fn write_csv(out: &mut Output, ticks: &Ticks) -> Result<(), OutputError> {
     let mut write = || -> std::io::Result<()> {
         writeln!(out, "time_s,target_deg,position_deg,duty")?;
         for index in 0..ticks.time_s.len() {
             let (time, target, position) = (ticks.time_s[index], ticks.target_deg[index], ticks.position_deg[index]);
             writeln!(out, "{time:.4},{target:.1},{position:.1},{:.5}", ticks.duty[index])?;
         }
-        out.flush()
+        Ok(())
     };
-    write().map_err(file)
+    write().map_err(|reason| out.failed(reason))
 }
 
 /// Header of [`table_rows`].

@@ -11,7 +11,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let report = panic::take_hook();
     panic::set_hook(Box::new(move |info| {
-        if !is_closed_stdout(info.payload()) {
+        if failed_stdout(info.payload()).is_none() {
             report(info);
         }
     }));
@@ -26,6 +26,10 @@ fn main() -> ExitCode {
             ExitCode::from(cli::exit::code_of(&error))
         }
         Err(payload) if is_closed_stdout(payload.as_ref()) => cli::exit::decided(),
+        Err(payload) if failed_stdout(payload.as_ref()).is_some() => {
+            let _ = writeln!(std::io::stderr(), "error: {}", failed_stdout(payload.as_ref()).unwrap_or_default());
+            cli::exit::decided_or_failed()
+        }
         Err(payload) => resume_unwind(payload),
     }
 }
@@ -38,7 +42,10 @@ const CLOSED: [&str; 2] = ["os error 32", "os error 5"];
 /// It has to stay a panic. The signal that other programs die by here would leave a motor turning or a generator's
 /// outputs on; unwinding switches them off.
 fn is_closed_stdout(payload: &(dyn Any + Send)) -> bool {
-    payload
-        .downcast_ref::<String>()
-        .is_some_and(|m| m.starts_with("failed printing to std") && CLOSED.iter().any(|code| m.contains(code)))
+    failed_stdout(payload).is_some_and(|message| CLOSED.iter().any(|code| message.contains(code)))
+}
+
+/// The message of a panic that is `println!` finding that its output takes no more, such as on a full disk.
+fn failed_stdout(payload: &(dyn Any + Send)) -> Option<&str> {
+    payload.downcast_ref::<String>().map(String::as_str).filter(|message| message.starts_with("failed printing to std"))
 }

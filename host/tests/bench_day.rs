@@ -11,7 +11,7 @@ use std::process::{Child, Command, Stdio};
 const DAY: [(i32, &str); 42] = [
     (0, ""),
     (0, "config path"),
-    (0, "config show --json"),
+    (0, "config defaults --json"),
     (0, "ports --json"),
     (0, "info --port PORT"),
     (0, "info --port PORT --json"),

@@ -292,19 +292,29 @@ fn wait_until_full(out: &Path, child: &mut Child) {
     }
 }
 
-/// One case, at `share` of the motion's length after its begin.
+/// One case, at `share` of the motion's length after its begin. A machine that is too busy to begin, or to
+/// keep up a motion that nothing ends, is asked again.
 fn case(mover: Mover, event: Event, share: f64) -> Came {
+    let kept_up = |came: &Came| event.ends(mover) || came.code != Some(3);
+    (0..3).find_map(|_| attempt(mover, event, share).filter(kept_up)).expect("a machine that keeps up")
+}
+
+fn attempt(mover: Mover, event: Event, share: f64) -> Option<Came> {
     let folder = tempfile::tempdir().unwrap();
     let out = mover.out.map(|name| folder.path().join(name));
     let rig = Rig::start();
     let mut program = start(mover, event, &rig.port, out.as_deref());
     // On a full disk an experiment does not come to its second run.
     let motion = if event == Event::DiskFull { mover.motion.min(2) } else { mover.motion };
-    if !rig.wait_until(Duration::from_secs(30), |seen| seen.begun >= motion) {
+    if !rig.wait_until(Duration::from_secs(15), |seen| seen.begun >= motion) {
+        let about =
+            |what: &str| std::fs::read_to_string(format!("/proc/{}/{what}", program.child.id())).unwrap_or_default();
+        let state = (about("wchan"), about("status").lines().nth(2).unwrap_or_default().to_owned());
         let _ = program.child.kill();
         let output = program.child.wait_with_output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        panic!("{} × {}: the motion never began: {:?}, {said}", mover.name, event.name(), rig.seen());
+        eprintln!("{} × {}: the motion never began: {:?}, {state:?}, {said}", mover.name, event.name(), rig.seen());
+        return None;
     }
     match (event, &out) {
         (Event::DiskFull, Some(out)) => wait_until_full(out, &mut program.child),
@@ -317,13 +327,13 @@ fn case(mover: Mover, event: Event, share: f64) -> Came {
     std::thread::sleep(Duration::from_millis(700));
     let after: Seen = rig.seen();
     let code = status.and_then(|status| status.code());
-    Came {
+    Some(Came {
         off_ms: after.driven_us.saturating_sub(at_us) as f64 * 1e-3,
         turned_deg: (after.angle_rad - before.angle_rad).to_degrees().abs(),
         code,
         recording: recording_of(folder.path(), out.as_deref()),
         begun_again: after.begun - before.begun,
-    }
+    })
 }
 
 /// What the ordinary test allows a machine that does something else meanwhile, ms. The bounds themselves are 100 and 500 ms.
@@ -344,7 +354,7 @@ fn check(mover: Mover, event: Event, came: &Came, slack_ms: f64) {
 fn matrix(shares: &[f64], slack_ms: f64) -> String {
     let cases: Vec<(Mover, Event)> =
         MOVERS.into_iter().flat_map(|mover| EVENTS.into_iter().map(move |event| (mover, event))).collect();
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(6).build().unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(4).build().unwrap();
     let came: Vec<Vec<Came>> = pool.install(|| {
         cases
             .par_iter()
@@ -381,14 +391,14 @@ fn matrix(shares: &[f64], slack_ms: f64) -> String {
 
 #[test]
 fn whatever_ends_a_command_the_motor_is_off_and_nothing_starts_again() {
-    matrix(&[0.3], SLACK_MS);
+    let table = matrix(&[0.3], SLACK_MS);
+    document::record("safety-matrix", &table);
 }
 
 /// `cargo test --release -p twum-host --test safety_matrix -- --ignored --nocapture ten_moments`, on a machine that does nothing
-/// else; `TWUM_WRITE_DOCS=1` writes its table.
+/// else: the simulated boards have to keep up with real time.
 #[test]
 #[ignore = "minutes, and a machine to itself; docs/reliability.md gives the command"]
 fn whatever_ends_a_command_the_motor_is_off_at_ten_moments() {
-    let table = matrix(&[0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45], SLACK_MS);
-    document::record("safety-matrix", &table);
+    matrix(&[0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45], SLACK_MS);
 }

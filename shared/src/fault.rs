@@ -53,11 +53,14 @@ pub enum Fault {
     /// Bytes from the host were lost before they could be read.
     #[error("bytes from the host were lost in reception")]
     RxOverrun,
+    /// The stop input is, or was, low.
+    #[error("the stop input was pulled low; release it, then stop and arm again")]
+    ExternalStop,
 }
 
 impl Fault {
     /// Every fault, in the order of their codes.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::LoopOverrun,
         Self::CommandTimeout,
         Self::EncoderStall,
@@ -73,6 +76,7 @@ impl Fault {
         Self::BootFromWatchdog,
         Self::BootFromPanic,
         Self::RxOverrun,
+        Self::ExternalStop,
     ];
 
     /// The code a fault travels under between cores; never zero.
@@ -96,6 +100,6 @@ mod tests {
             assert_eq!(Fault::from_code(fault.code()), Some(fault));
         }
         assert_eq!(Fault::from_code(0), None);
-        assert_eq!(Fault::from_code(16), None);
+        assert_eq!(Fault::from_code(17), None);
     }
 }

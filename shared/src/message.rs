@@ -380,9 +380,9 @@ pub enum DeviceMessage {
     Configured(Configuration),
     /// The motor is aligned, its count zero, the driver in hardware mode.
     Aligned,
-    /// A run begins with its first control tick.
+    /// A run began with its first PWM period; its first control tick follows within a control period.
     RunStarted {
-        /// Device time of the first tick, µs: t = 0 of the run and the start of a PWM period.
+        /// Device time at which that PWM period began, µs: t = 0 of the run.
         start_us: u64,
     },
     /// A run is over.

@@ -2,6 +2,7 @@
 //! highest, on one core, so none ever interrupts another: what they share needs no lock.
 
 use super::board;
+use super::flash::STANDSTILL;
 use super::stage::{self, Stage};
 use core::cell::UnsafeCell;
 use esp_hal::interrupt::{InterruptHandler, Priority};
@@ -30,6 +31,9 @@ impl ControlLoop {
     fn tick(&mut self) {
         let now_us = board::clock_us();
         let due_us = self.due_us.unwrap_or(now_us);
+        if !stage::level(board::STOP_PIN) {
+            self.control.stop_input_is_low();
+        }
         self.control.tick(due_us, now_us, stage::level(board::ENCODER_PIN), board::clock_us);
 
         // Periods that passed meanwhile are skipped, not made up for: the timer raised one interrupt for all of them.
@@ -37,6 +41,10 @@ impl ControlLoop {
         let missed = late_us / self.period_us.max(1);
         self.due_us = Some(due_us + u64::from(self.period_us) * (1 + u64::from(missed)));
 
+        if self.control.is_at_rest() && STANDSTILL.stand() {
+            self.due_us = None;
+            board::set_tick_period(self.period_us);
+        }
         let period_us = self.control.period_us();
         if period_us != self.period_us {
             (self.period_us, self.due_us) = (period_us, None);
@@ -64,6 +72,8 @@ pub fn begin(control: ControlLoop) {
     let period_us = control.period_us;
     // SAFETY: the interrupts are not bound yet, so this is the only access.
     unsafe { *LOOP.0.get() = Some(control) };
+    // Pulled up: nothing connected is no stop.
+    board::take_pad(board::STOP_PIN, true);
     esp_hal::interrupt::bind_handler(board::TICK_INTERRUPT, handler(tick));
     board::set_tick_period(period_us);
     esp_hal::interrupt::bind_handler(esp_hal::peripherals::Interrupt::GPIO, handler(edge));
@@ -96,5 +106,8 @@ extern "C" fn edge() {
 #[ram]
 extern "C" fn period() {
     board::clear_pwm_period();
-    stage::period_began();
+    // SAFETY: see `Slot`.
+    if let Some(control) = unsafe { &mut *LOOP.0.get() } {
+        control.control.period_began(board::clock_us());
+    }
 }

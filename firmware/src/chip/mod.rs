@@ -1,8 +1,7 @@
-//! Boots a chip: output off, clocks, pins, interrupts, tasks. What differs between chips is in `board`, one file a chip.
+//! Boots a chip: output off, clocks, pins, interrupts, tasks. What differs between chips is in `board`, one file a kind.
 
 #[cfg_attr(target_arch = "xtensa", path = "esp32.rs")]
-#[cfg_attr(all(target_arch = "riscv32", feature = "esp32c3"), path = "esp32c3.rs")]
-#[cfg_attr(all(target_arch = "riscv32", feature = "esp32c6"), path = "esp32c6.rs")]
+#[cfg_attr(target_arch = "riscv32", path = "riscv.rs")]
 mod board;
 mod flash;
 mod interrupts;
@@ -51,8 +50,9 @@ static CONTROL: StaticCell<Control<'static, Stage>> = StaticCell::new();
 
 #[esp_rtos::main]
 async fn main(spawner: Spawner) {
-    // Before anything that can fail: `boot` writes the PWM pin's registers, and nothing comes before it.
-    let output = Output::boot(Stage::new());
+    // Before anything that can fail: these write the PWM pin's registers, and nothing comes before them.
+    let output = Output::boot(Stage::new(stage::Chip, &stage::FLAGS), &panic::LATCH);
+    board::watch_supply();
 
     let reset = panic::take_mark().unwrap_or_else(board::reset_cause);
     let parts = board::parts(esp_hal::init(esp_hal::Config::default().with_cpu_clock(esp_hal::clock::CpuClock::max())));
@@ -61,7 +61,6 @@ async fn main(spawner: Spawner) {
     dog.enable();
     esp_rtos::start(TimerGroup::new(parts.timg0).timer0, parts.from_cpu_intr0);
 
-    let pins = stage::wire(parts.pwm, parts.direction, parts.mark);
     pwm::start(parts.ledc);
 
     let (control_ends, edges, transmit_ends) = QUEUES.take().split();
@@ -95,7 +94,7 @@ async fn main(spawner: Spawner) {
     let once = "each task is spawned once";
     spawner.spawn(receive(rx).expect(once));
     spawner.spawn(transmit(transmit_ends, about, tx).expect(once));
-    spawner.spawn(serve_driver(Port::new(driver, pins)).expect(once));
+    spawner.spawn(serve_driver(Port::new(driver)).expect(once));
     spawner.spawn(reboot().expect(once));
     spawner.spawn(supervise(Dog(dog)).expect(once));
     if let Some(store) = store {

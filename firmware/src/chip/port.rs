@@ -1,33 +1,33 @@
 //! The driver board's UART on the two wires.
 
-use super::stage::Pins;
+use super::stage::{Chip, FLAGS};
 use embedded_io_async::{ErrorType, Read, Write};
 use esp_hal::Async;
 use esp_hal::uart::{IoError, Uart};
 use twum_firmware::driver::DriverPort;
+use twum_firmware::stage::{to_hardware, to_text};
 
 /// The UART and the wires it has while the driver board is in its text mode.
 pub struct Port {
     uart: Uart<'static, Async>,
-    pins: Pins,
 }
 
 impl Port {
-    pub const fn new(uart: Uart<'static, Async>, pins: Pins) -> Self {
-        Self { uart, pins }
+    pub const fn new(uart: Uart<'static, Async>) -> Self {
+        Self { uart }
     }
 }
 
 impl DriverPort for Port {
     fn to_text(&mut self) {
-        self.pins.to_text();
+        to_text(&Chip, &FLAGS);
         // What the pin did before it was a UART's is not a reply.
         let mut scrap = [0; 32];
         while let Ok(1..) = self.uart.read_buffered(&mut scrap) {}
     }
 
     fn to_hardware(&mut self) {
-        self.pins.to_hardware();
+        to_hardware(&Chip, &FLAGS);
     }
 }
 

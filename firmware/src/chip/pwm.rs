@@ -1,12 +1,14 @@
 //! The PWM unit (LEDC, channel 0 of timer 0), set up once; a board's file has the registers used afterwards.
 
 use super::board;
+use super::stage::Chip;
 use esp_hal::gpio::{DriveMode, NoPin};
 use esp_hal::ledc::channel::{self, Channel, ChannelIFace};
 use esp_hal::ledc::timer::{self, LSClockSource, TimerIFace};
 use esp_hal::ledc::{LSGlobalClkSource, Ledc, LowSpeed};
 use esp_hal::peripherals::LEDC;
 use esp_hal::time::Rate;
+use twum_firmware::stage::{OFF, Registers};
 
 /// Starts the unit at 50 Hz, connected to no pin: [`super::stage`] connects it.
 pub fn start(ledc: LEDC<'static>) {
@@ -24,5 +26,9 @@ pub fn start(ledc: LEDC<'static>) {
     channel.configure(config).expect("the timer is configured");
     // Dropping it would stop the unit.
     core::mem::forget(ledc);
+    // What the stage takes for "no drive yet"; loaded with the first period, 20 ms before anything can be armed.
+    Chip.write_duty(OFF);
+    Chip.start_duty();
+    Chip.update_channel();
     board::listen_pwm_period();
 }

@@ -35,8 +35,9 @@ enum Run {
 #[derive(Debug)]
 struct Running {
     run: Run,
-    start_us: u64,
-    end_us: u64,
+    /// When its first PWM period began; `None` while it waits for that.
+    start_us: Option<u64>,
+    duration_us: u64,
     tick: u64,
 }
 
@@ -119,6 +120,18 @@ impl<'a, S: OutputStage> Control<'a, S> {
     /// The supervisor's state.
     pub const fn mode(&self) -> Mode {
         self.mode
+    }
+
+    /// Whether the motor cannot move before another command: the output is off, and not armed.
+    pub const fn is_at_rest(&self) -> bool {
+        !Shared::is_live(self.mode)
+    }
+
+    /// The stop input is low. A board says so before each tick for as long as it is: that tick latches it, again after every
+    /// `stop`.
+    #[inline]
+    pub fn stop_input_is_low(&self) {
+        self.shared.request_fault(Fault::ExternalStop);
     }
 
     /// One control period: due at `due_us`, started at `now_us` (device clock), with the encoder pin's level; `clock` reads
@@ -260,11 +273,11 @@ impl<'a, S: OutputStage> Control<'a, S> {
                 self.begin_text(pass, DriverRequest::Passthrough(line), Mode::Passthrough)
             }
             Request::Arm(asked) => self.arm(asked, now_us),
-            Request::Speed(pass, run) => self.begin_run(pass, run.duration_ms, Run::Speed(run), now_us),
+            Request::Speed(pass, run) => self.begin_run(pass, run.duration_ms, Run::Speed(run)),
             Request::Track(pass, run) => {
                 self.require(Mode::Armed)?;
                 run.reference.validate().map_err(Refusal::Reference)?;
-                self.begin_run(pass, run.duration_ms, Run::Track { run, state: State::REST, origin: position }, now_us)
+                self.begin_run(pass, run.duration_ms, Run::Track { run, state: State::REST, origin: position })
             }
             Request::Reboot | Request::Identify => Err(Refusal::Mode(self.mode)),
         }
@@ -391,36 +404,71 @@ impl<'a, S: OutputStage> Control<'a, S> {
         }
     }
 
-    fn begin_run(&mut self, pass: Pass, duration_ms: u32, run: Run, now_us: u64) -> Result<(), Refusal> {
+    fn begin_run(&mut self, pass: Pass, duration_ms: u32, run: Run) -> Result<(), Refusal> {
         self.require(Mode::Armed)?;
         if !(1..=MAX_DURATION_MS).contains(&duration_ms) {
             return Err(Refusal::Duration);
         }
         self.use_pass(pass)?;
         self.monitor.reset();
-        self.output.begin_run();
         self.mode = Mode::Running;
-        let end_us = now_us + u64::from(duration_ms) * 1_000;
-        self.running = Some(Running { run, start_us: now_us, end_us, tick: 0 });
-        self.shared.tell(Event::RunStarted(now_us));
+        self.running = Some(Running { run, start_us: None, duration_us: u64::from(duration_ms) * 1_000, tick: 0 });
         Ok(())
     }
 
+    /// A PWM period began; called from its interrupt, which has the tick's priority, with the device clock. The first period
+    /// that carries a run's first duty is the run's start.
+    pub fn period_began(&mut self, now_us: u64) {
+        let Some(age_us) = self.output.period_began() else { return };
+        let Some(running) = self.running.as_mut().filter(|running| running.start_us.is_none()) else { return };
+        let start_us = now_us.saturating_sub(u64::from(age_us));
+        running.start_us = Some(start_us);
+        if let Run::Track { origin, .. } = &mut running.run {
+            *origin = self.shared.encoder.count();
+        }
+        self.monitor.reset();
+        self.output.begin_run();
+        self.shared.tell(Event::RunStarted(start_us));
+    }
+
+    /// What the first period of a run that waits for it is to carry.
+    fn prepare(&mut self) {
+        let (Some(running), Some(configured)) = (&self.running, &self.configured) else { return };
+        let (duty, direction) = match &running.run {
+            Run::Speed(run) => (run.duty, run.direction),
+            Run::Track { run, .. } => {
+                let target = run.reference.at(0);
+                let inputs = Inputs { target: target.position, target_rate: target.rate, position: 0 };
+                let outputs = step::step(&configured.config, &mut State::REST.clone(), inputs);
+                (outputs.duty(&configured.config), outputs.direction)
+            }
+        };
+        self.output.drive(duty, direction);
+    }
+
     fn end_run(&mut self, end: RunEnd, now_us: u64) {
-        if self.running.take().is_some() {
+        if let Some(running) = self.running.take() {
             self.output.end_run();
+            if running.start_us.is_none() {
+                // Over before its first period: a run of no length, so that every end has its start.
+                self.shared.tell(Event::RunStarted(now_us));
+            }
             self.shared.tell(Event::RunEnded(end, now_us));
         }
     }
 
     fn drive(&mut self, due_us: u64, now_us: u64, late_us: u64, position: i32) {
         let (Some(running), Some(configured)) = (&mut self.running, &self.configured) else { return };
-        if now_us >= running.end_us {
+        let Some(start_us) = running.start_us else {
+            self.prepare();
+            return;
+        };
+        let elapsed_us = now_us.saturating_sub(start_us);
+        if elapsed_us >= running.duration_us {
             self.end_run(RunEnd::Completed, now_us);
             self.mode = Mode::Armed;
             return;
         }
-        let elapsed_us = now_us.saturating_sub(running.start_us);
         let (inputs, state_before, outputs) = match &mut running.run {
             Run::Speed(run) => {
                 self.output.drive(run.duty, run.direction);

@@ -1,13 +1,14 @@
 //! `twum compare`.
 
+use super::diagnose::motor_of;
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::compare::closed_loop::{self, ClosedLoop};
 use twum_host::compare::simulation::{Comparison, compare};
-use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
+use twum_host::output::{self, Existing};
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, RunKind};
 use twum_host::report::comparison::page;
@@ -69,6 +70,9 @@ struct Found {
 
 /// Runs `twum compare`.
 pub fn run(args: Args) -> Result<ExitCode> {
+    for path in args.plot.iter().chain(&args.report) {
+        output::may_write(path, Existing::Keep)?;
+    }
     let (mut measurement, notes) = load_runs(&args.folder)?;
     for note in notes {
         eprintln!("note: {note}");
@@ -92,7 +96,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     if let Some(path) = &args.report {
         let page = page(&measurement.name, found.simulation.as_ref(), &found.closed_loops)?;
-        page.write(path).with_context(|| format!("cannot write {}", path.display()))?;
+        page.write(path)?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&found)?);
@@ -108,11 +112,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
 }
 
 fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
-    let motor = match (&args.motor, measurement.motor_file()) {
-        (Some(named), _) => Motor::load(named)?,
-        (None, Some(file)) => Motor::load(&file.to_string_lossy())?,
-        (None, None) => Motor::shipped(&measurement.motor)?,
-    };
+    let motor = motor_of(measurement, args.motor.as_deref())?
+        .context("an ordinary motor has no motor file to simulate: `twum diagnose` takes it")?;
     let flavour = args.flavour;
     let is_open_loop = |run: &&twum_host::record::measurement::Run| run.kind == RunKind::Speed && run.duty.is_some();
     let simulation = match measurement.runs.iter().find(is_open_loop) {

@@ -1,10 +1,12 @@
 //! `twum completions` and `twum man`.
 
+use super::existing::ExistingArgs;
 use anyhow::{Context, Result};
 use clap::CommandFactory;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use twum_host::output::{self, Existing};
 
 /// Arguments of `twum completions`.
 #[derive(Debug, clap::Args)]
@@ -22,6 +24,8 @@ pub struct Args {
 pub struct ManArgs {
     /// Folder for a page of every command; without it the first page goes to stdout
     folder: Option<PathBuf>,
+    #[command(flatten)]
+    existing: ExistingArgs,
 }
 
 /// Runs `twum completions`.
@@ -43,22 +47,22 @@ pub fn man(args: &ManArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     };
     std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
-    let pages = write_pages(&command, "twum", folder)?;
+    let pages = write_pages(&command, "twum", folder, args.existing.into())?;
     eprintln!("wrote {pages} pages to {}", folder.display());
     Ok(ExitCode::SUCCESS)
 }
 
 /// A page of a command and one of every command below it; how many.
-fn write_pages(command: &clap::Command, name: &str, folder: &Path) -> Result<usize> {
+fn write_pages(command: &clap::Command, name: &str, folder: &Path, existing: Existing) -> Result<usize> {
     let path = folder.join(format!("{name}.1"));
     let mut page = Vec::new();
     // The page's title takes the whole name; it lives as long as the process, as clap's own names do.
     let title: &'static str = String::leak(name.to_owned());
     clap_mangen::Man::new(command.clone().name(title)).render(&mut page)?;
-    std::fs::write(&path, page).with_context(|| format!("writing {}", path.display()))?;
+    output::write(&path, page, existing)?;
     let mut count = 1;
     for below in command.get_subcommands().filter(|below| below.get_name() != "help") {
-        count += write_pages(below, &format!("{name}-{}", below.get_name()), folder)?;
+        count += write_pages(below, &format!("{name}-{}", below.get_name()), folder, existing)?;
     }
     Ok(count)
 }
@@ -73,7 +77,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut command = super::super::Cli::command();
         command.build();
-        let pages = write_pages(&command, "twum", folder.path()).unwrap();
+        let pages = write_pages(&command, "twum", folder.path(), Existing::Keep).unwrap();
         assert!(pages > 30, "{pages}");
         for name in ["twum", "twum-track", "twum-experiment-run", "twum-model-braking"] {
             let page = std::fs::read_to_string(folder.path().join(format!("{name}.1"))).unwrap();

@@ -1,101 +1,150 @@
-//! What a user sets once: `$XDG_CONFIG_HOME/twum/config.toml`, and `twum config`.
-//!
-//! A command line comes before an environment variable, that before this file, that before what is built in.
+//! `twum config`: the configuration a board holds, shown, written to a file, loaded from one, and compared with one; and the
+//! file of the user's own defaults.
 
-use anyhow::{Context, Result};
-use serde::{Deserialize, Serialize};
+use super::connect::ConnectArgs;
+use super::defaults;
+use anyhow::{Context, Result, bail};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-
-/// The file. Every key may be missing.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// As `--port`.
-    pub port: Option<String>,
-    /// As `--motor`.
-    pub motor: Option<String>,
-    /// As `--control`.
-    pub control: Option<String>,
-    /// As `--edges-per-rev`.
-    pub edges_per_rev: Option<u16>,
-    /// As `--pwm-hz`.
-    pub pwm_hz: Option<u16>,
-}
+use twum_host::configuration::{difference, overlay, rows, to_toml};
+use twum_host::input;
+use twum_shared::message::Configuration;
+use twum_shared::step::ConfigSpec;
 
 /// Arguments of `twum config`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "\
-The file holds defaults of the options of the same names; a command line and an environment variable come before it:
-
-  port = \"/dev/ttyUSB0\"
-  motor = \"bench3.toml\"
-  control = \"default\"
-  edges_per_rev = 400
-  pwm_hz = 50")]
+#[command(after_help = format!("Examples:\n  twum config show --port /dev/ttyUSB0\n  \
+                        twum config dump --port /dev/ttyUSB0 > bench.toml\n  \
+                        twum config load --port /dev/ttyUSB0 bench.toml\n  \
+                        twum config diff --port /dev/ttyUSB0 bench.toml\n\n{}", defaults::EXAMPLE))]
 pub struct Args {
     #[command(subcommand)]
-    what: What,
+    command: Command,
 }
 
 #[derive(Debug, clap::Subcommand)]
-enum What {
-    /// Print where the file is, or would be
-    Path,
-    /// Print what it says
+enum Command {
+    /// Show what the board is configured with
     Show {
+        #[command(flatten)]
+        connect: ConnectArgs,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Write it as TOML to standard output
+    Dump {
+        #[command(flatten)]
+        connect: ConnectArgs,
+    },
+    /// Send a file to the board, which keeps it; what the file leaves out stays as it is
+    Load {
+        #[command(flatten)]
+        connect: ConnectArgs,
+        /// TOML file, or `-` for standard input
+        #[arg(default_value = "-")]
+        file: PathBuf,
+    },
+    /// Show in what the board differs from a file; the exit code is 1 if it does
+    Diff {
+        #[command(flatten)]
+        connect: ConnectArgs,
+        /// TOML file, or `-` for standard input
+        #[arg(default_value = "-")]
+        file: PathBuf,
+    },
+    /// Print where the file of your own defaults is, or would be
+    Path,
+    /// Print what that file says
+    Defaults {
         /// Print JSON
         #[arg(long)]
         json: bool,
     },
 }
 
+/// What the board holds.
+fn held(connect: &ConnectArgs) -> Result<Configuration> {
+    let mut session = connect.session()?;
+    session.hello()?;
+    session
+        .configuration()?
+        .context("the board has no configuration yet; `twum config load` sends one, and so does every run")
+}
+
+fn read(file: &Path) -> Result<String> {
+    if file == Path::new("-") {
+        let mut text = String::new();
+        // Read to its end before the port is opened: what writes it may hold the same port.
+        std::io::stdin().take(input::WRITTEN).read_to_string(&mut text).context("standard input")?;
+        return Ok(text);
+    }
+    input::text(file, input::WRITTEN).with_context(|| file.display().to_string())
+}
+
+fn name(file: &Path) -> String {
+    if file == Path::new("-") { "standard input".to_owned() } else { file.display().to_string() }
+}
+
 /// Runs `twum config`.
-pub fn run(args: &Args) -> Result<ExitCode> {
-    match args.what {
-        What::Path => match path() {
-            Some(path) => println!("{}", path.display()),
-            None => anyhow::bail!("neither XDG_CONFIG_HOME nor HOME is set, so there is no place for a file"),
-        },
-        What::Show { json: true } => println!("{}", serde_json::to_string(&load()?)?),
-        What::Show { json: false } => print!("{}", toml::to_string(&load()?)?),
+pub fn run(args: Args) -> Result<ExitCode> {
+    match args.command {
+        Command::Show { connect, json } => {
+            let rows = rows(&held(&connect)?);
+            if json {
+                let object: serde_json::Map<_, _> = rows
+                    .into_iter()
+                    .map(|(key, value)| Ok((key, serde_json::to_value(value)?)))
+                    .collect::<Result<_>>()?;
+                println!("{}", serde_json::Value::Object(object));
+            } else {
+                rows.iter().for_each(|(key, value)| println!("{key:<32}{value}"));
+            }
+        }
+        Command::Dump { connect } => print!("{}", to_toml(&held(&connect)?)),
+        Command::Load { connect, file } => return load(&connect, &file),
+        Command::Path => println!("{}", defaults::path()?.display()),
+        Command::Defaults { json: true } => println!("{}", serde_json::to_string(&defaults::load()?)?),
+        Command::Defaults { json: false } => print!("{}", toml::to_string(&defaults::load()?)?),
+        Command::Diff { connect, file } => {
+            let text = read(&file)?;
+            let board = held(&connect)?;
+            let other = overlay(&board, &text).with_context(|| name(&file))?;
+            let different = difference(&board, &other);
+            for (key, board, file) in &different {
+                println!("{key}: {board} on the board, {file} in the file");
+            }
+            return Ok(ExitCode::from(u8::from(!different.is_empty())));
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn path() -> Option<PathBuf> {
-    let set = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    let folder = set("XDG_CONFIG_HOME").or_else(|| Some(set("HOME")?.join(".config")))?;
-    Some(folder.join("twum").join("config.toml"))
-}
-
-/// Reads the file; without one nothing is set.
-pub fn load() -> Result<Config> {
-    path().map_or(Ok(Config::default()), |path| read(&path))
-}
-
-fn read(path: &Path) -> Result<Config> {
-    match std::fs::read_to_string(path) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Config::default()),
-        text => toml::from_str(&text.with_context(|| path.display().to_string())?)
-            .with_context(|| format!("{}: `twum config --help` shows its keys", path.display())),
+fn load(connect: &ConnectArgs, file: &Path) -> Result<ExitCode> {
+    let text = read(file)?;
+    if text.trim().is_empty() {
+        bail!("{} is empty", name(file));
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_file_is_read_and_its_mistakes_are_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("config.toml");
-        assert_eq!(read(&path).unwrap(), Config::default());
-        std::fs::write(&path, "port = \"sim\"\nedges_per_rev = 200\n").unwrap();
-        let found = read(&path).unwrap();
-        assert_eq!((found.port.as_deref(), found.edges_per_rev), (Some("sim"), Some(200)));
-        std::fs::write(&path, "prt = \"sim\"\n").unwrap();
-        let message = format!("{:#}", read(&path).unwrap_err());
-        assert!(message.contains("config.toml") && message.contains("prt"), "{message}");
+    let fallback = Configuration::with_control(ConfigSpec::DEFAULT);
+    // A wrong file is refused before the board is touched.
+    overlay(&fallback, &text).with_context(|| name(file))?;
+    let mut session = connect.session()?;
+    session.hello()?;
+    let before = session.configuration()?;
+    let wanted = overlay(&before.unwrap_or(fallback), &text).with_context(|| name(file))?;
+    session.configure(wanted)?;
+    let now = session.configuration()?.context("the board took the configuration and does not have it")?;
+    if let Some((key, _, has)) = difference(&wanted, &now).into_iter().next() {
+        bail!("the board took the configuration, and has {key} = {has}");
     }
+    match before {
+        None => println!("the board had no configuration; it has this one now"),
+        Some(before) => {
+            let changed = difference(&before, &now);
+            changed.iter().for_each(|(key, was, is)| println!("{key}: {was} -> {is}"));
+            println!("{} changed", changed.len());
+        }
+    }
+    Ok(ExitCode::SUCCESS)
 }

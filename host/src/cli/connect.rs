@@ -1,26 +1,26 @@
 //! Arguments every command that talks to a board shares.
 
-use super::config;
-use super::exit;
+use super::configuration::ConfigurationArgs;
+use super::motor::MotorArgs;
 use super::signals::on_signal;
+use super::{defaults, exit};
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use twum_host::link::bench::{Experiment, Outcome, perform};
+use twum_host::configuration::difference;
+use twum_host::link::bench::{Action, Experiment, Outcome, perform};
+use twum_host::link::relay;
 use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink, is_motor_held};
-use twum_host::model::motor::Motor;
-use twum_host::model::parameters::Flavour;
-use twum_host::record::measurement::ControlSpec;
 use twum_host::report::run::RunFigures;
-use twum_host::sim::{Setup, Simulated};
 use twum_shared::message::{CaptureMode, Configuration, RunEnd};
+use twum_shared::step::ConfigSpec;
 
 /// Which board, and how to reach it.
 #[derive(Debug, clap::Args)]
 pub struct ConnectArgs {
-    /// Serial port or pseudo-terminal, or `sim` for a simulated board in memory [default: that of `twum config`]
+    /// Serial port or pseudo-terminal, or `sim` for a simulated board in memory [default: that of `twum config path`]
     #[arg(long, short, env = "TWUM_PORT")]
     port: Option<String>,
     /// Reset the board through RTS when the port is opened
@@ -29,61 +29,6 @@ pub struct ConnectArgs {
     #[command(flatten)]
     motor: MotorArgs,
 }
-
-/// Which motor is there, or which one to simulate.
-#[derive(Debug, clap::Args)]
-pub struct MotorArgs {
-    /// Motor: a shipped one or a motor file; kept in the recording. With `--port sim` the one simulated
-    /// [default: the one the board simulates, or pcbmotor-30mm]
-    #[arg(long, value_name = "NAME|FILE")]
-    motor: Option<String>,
-    /// Flavour of a simulated motor [default: measured]
-    #[arg(long, value_enum)]
-    flavour: Option<Flavour>,
-    /// Effects to hide in a simulated motor: a file of [effects.NAME] tables, as in a motor file
-    #[arg(long, value_name = "FILE")]
-    effects: Option<PathBuf>,
-}
-
-impl MotorArgs {
-    /// The board to simulate.
-    pub fn simulated(&self) -> Result<Setup> {
-        let hidden = self.effects.as_deref().map(Motor::effects_of_file).transpose()?.unwrap_or_default();
-        let name = self.asked()?.unwrap_or_else(|| DEFAULT_MOTOR.to_owned());
-        if name == SIMPLE {
-            if self.flavour.is_some() || self.effects.is_some() {
-                bail!("the motor `{SIMPLE}` has neither flavours nor effects");
-            }
-            return Ok(Setup::simple());
-        }
-        Ok(Setup::hybrid(&Motor::load(&name)?, self.flavour.unwrap_or_default(), &hidden)?)
-    }
-
-    /// The motor of the command line, or else of the user's own defaults.
-    fn asked(&self) -> Result<Option<String>> {
-        Ok(self.motor.clone().or(config::load()?.motor))
-    }
-
-    /// The motor that goes into the recording: the one asked for, which a simulated board must not contradict.
-    fn recorded(&self, chip: &str) -> Result<String> {
-        let simulated = Simulated::parse(chip);
-        let Some(asked) = &self.asked()? else {
-            return Ok(simulated.map_or_else(|| DEFAULT_MOTOR.to_owned(), |it| it.motor));
-        };
-        let name = if asked == SIMPLE { SIMPLE.to_owned() } else { Motor::load(asked)?.name };
-        match simulated {
-            Some(it) if it.motor != name => {
-                bail!("--motor {asked}: the board simulates `{}`; leave --motor out, or name that one", it.motor)
-            }
-            None if name == SIMPLE => bail!("--motor {SIMPLE} is a simulated motor, and this board is a real one"),
-            _ => Ok(asked.clone()),
-        }
-    }
-}
-
-const DEFAULT_MOTOR: &str = "pcbmotor-30mm";
-/// A motor of one time constant, for tests of the link and the loop.
-const SIMPLE: &str = "simple";
 
 /// Set by Ctrl-C, a termination or a closed window; a second one ends the program at once, unless the motor is still being
 /// stopped.
@@ -103,20 +48,18 @@ pub fn catch_interrupts() -> Result<()> {
     })
 }
 
-impl ConnectArgs {
-    fn open(&self) -> Result<Box<dyn Port>> {
-        let port = self.port()?;
-        if port == "sim" {
-            return Ok(Box::new(SimulatedLink::new(self.motor.simulated()?)));
-        }
-        if self.motor.flavour.is_some() || self.motor.effects.is_some() {
-            bail!("--flavour and --effects are of a simulated motor: give them to `twum sim`, or with --port sim");
-        }
-        Ok(Box::new(SerialLink::open(&port, self.reset)?))
-    }
+/// How a board was reached.
+pub enum Reached<T> {
+    /// Over its port.
+    Port(Box<Session<Box<dyn Port>>>),
+    /// Through the program that holds the port: its answer.
+    Through(T),
+}
 
-    fn port(&self) -> Result<String> {
-        let known = self.port.clone().or(config::load()?.port);
+impl ConnectArgs {
+    /// The port's name.
+    pub fn port(&self) -> Result<String> {
+        let known = self.port.clone().or(defaults::load()?.port);
         known.context(
             "no port: give --port, set TWUM_PORT, or set it in the file of `twum config path` (`sim` needs no board)",
         )
@@ -127,6 +70,19 @@ impl ConnectArgs {
         self.port.is_some() && std::env::var("TWUM_PORT").ok() != self.port
     }
 
+    fn open(&self) -> Result<Box<dyn Port>> {
+        let port = self.port()?;
+        if port == "sim" {
+            return Ok(Box::new(SimulatedLink::new(self.motor.simulated()?)));
+        }
+        self.motor.is_of_a_real_board()?;
+        Ok(self.serial(&port)?)
+    }
+
+    fn serial(&self, port: &str) -> Result<Box<dyn Port>, LinkError> {
+        Ok(Box::new(relay::Relay::new(SerialLink::open(port, self.reset)?, port)))
+    }
+
     /// Opens the port and a session that Ctrl-C interrupts.
     pub fn session(&self) -> Result<Session<Box<dyn Port>>> {
         catch_interrupts()?;
@@ -135,49 +91,90 @@ impl ConnectArgs {
         Ok(session)
     }
 
-    /// Asks the board who it is; the motor that recordings of it name.
-    pub fn motor(&self, session: &mut Session<Box<dyn Port>>) -> Result<String> {
-        self.motor.recorded(&session.hello()?.chip)
+    /// Opens the port, or asks `through` the program of this user that holds it.
+    pub fn session_or<T>(&self, through: impl Fn(&str) -> Result<T, relay::RelayError>) -> Result<Reached<T>> {
+        let cannot_open = match self.session() {
+            Ok(session) => return Ok(Reached::Port(Box::new(session))),
+            Err(error) => error,
+        };
+        match through(&self.port()?) {
+            Ok(answer) => Ok(Reached::Through(answer)),
+            Err(relay::RelayError::Nobody) => Err(cannot_open),
+            Err(error) => Err(cannot_open.context(error.to_string())),
+        }
     }
 
-    /// Performs an experiment; a lost port is waited for and opened again. The recording names the motor of the board.
+    /// Asks the board who it is; what recordings of it keep of its motor.
+    pub fn motor(&self, session: &mut Session<Box<dyn Port>>) -> Result<String> {
+        self.motor.kept(&session.hello()?.chip)
+    }
+
+    /// Performs an experiment; a lost port is waited for and opened again. The recording keeps the board's motor.
     pub fn perform(&self, mut experiment: Experiment, observe: impl FnMut(&Received)) -> Result<Outcome> {
         let mut session = self.session()?;
         experiment.motor = self.motor(&mut session)?;
+        self.conduct(&mut session, &experiment, observe)
+    }
+
+    /// Performs what `action` makes of the configuration: what the board is configured with and `configuration` changes.
+    /// Afterwards the board has its own configuration again.
+    pub fn perform_with(
+        &self,
+        configuration: &ConfigurationArgs,
+        action: impl Fn(&Configuration) -> Result<Action>,
+        recording: Option<PathBuf>,
+        observe: impl FnMut(&Received),
+    ) -> Result<Outcome> {
+        // What is wrong with the arguments is said before the port is opened.
+        action(&configuration.over(Configuration::with_control(ConfigSpec::DEFAULT))?)?;
+        let mut session = self.session()?;
+        let own = own_configuration(&mut session)?;
+        let used = configuration.over(own)?;
+        let experiment = Experiment {
+            configuration: Some(used),
+            capture: ALL_STREAMS,
+            action: action(&used)?,
+            recording,
+            motor: self.motor(&mut session)?,
+        };
+        let outcome = self.conduct(&mut session, &experiment, observe);
+        restore(&mut session, own, used);
+        outcome
+    }
+
+    fn conduct(
+        &self,
+        session: &mut Session<Box<dyn Port>>,
+        experiment: &Experiment,
+        observe: impl FnMut(&Received),
+    ) -> Result<Outcome> {
         let port = self.port()?;
-        let mut reopen = || SerialLink::open(&port, self.reset).map(|port| Box::new(port) as Box<dyn Port>);
-        Ok(perform(&mut session, &experiment, Some(&mut reopen), observe)?)
+        let mut reopen = || self.serial(&port);
+        Ok(perform(session, experiment, Some(&mut reopen), observe)?)
     }
 }
 
-/// How to run the motor.
-#[derive(Debug, clap::Args)]
-pub struct ConfigurationArgs {
-    /// Controller: `thesis`, `default`, or a TOML file of gains [default: default]
-    #[arg(long)]
-    control: Option<String>,
-    /// Encoder edges a revolution [default: 400]
-    #[arg(long)]
-    edges_per_rev: Option<u16>,
-    /// PWM frequency, Hz [default: 50]
-    #[arg(long)]
-    pwm_hz: Option<u16>,
+/// What the board is configured with; the default where it has nothing.
+pub fn own_configuration<P: Port>(session: &mut Session<P>) -> Result<Configuration> {
+    session.hello()?;
+    Ok(session.configuration()?.unwrap_or(Configuration::with_control(ConfigSpec::DEFAULT)))
 }
 
-impl ConfigurationArgs {
-    /// Encoder edges a revolution.
-    pub fn edges_per_rev(&self) -> Result<u16> {
-        Ok(self.edges_per_rev.or(config::load()?.edges_per_rev).unwrap_or(400))
+/// Gives the board its own configuration back after runs with another: what loosened a limit for one run must not for the
+/// next.
+pub fn restore<P: Port>(session: &mut Session<P>, own: Configuration, used: Configuration) {
+    static NEVER: AtomicBool = AtomicBool::new(false);
+    if own == used {
+        return;
     }
-
-    /// The configuration the device gets.
-    pub fn configuration(&self) -> Result<Configuration> {
-        let own = config::load()?;
-        let named = self.control.as_ref().or(own.control.as_ref());
-        let control = ControlSpec::named(named.map_or("default", |name| name))?.config()?;
-        let edges_per_rev = self.edges_per_rev()?;
-        let pwm_hz = self.pwm_hz.or(own.pwm_hz).unwrap_or(50);
-        Ok(Configuration { edges_per_rev, pwm_hz, ..Configuration::with_control(control) })
+    // Ctrl-C ended the run, not this.
+    session.interrupt_by(&NEVER);
+    if let Err(error) = session.configure(own) {
+        let keys: Vec<String> = difference(&own, &used).into_iter().map(|(key, _, _)| key).collect();
+        eprintln!(
+            "warning: the board keeps this run's {}: {error}; `twum config load` puts them right",
+            keys.join(", ")
+        );
     }
 }
 
@@ -202,6 +199,7 @@ impl RecordArgs {
             Some(RunEnd::Fault(fault)) => Err(LinkError::Fault(fault).into()),
             _ if outcome.interrupted => Ok(exit::INTERRUPTED),
             Some(RunEnd::Stopped) => Err(LinkError::StoppedByOther.into()),
+            _ if outcome.tally.restarts > 0 => Err(LinkError::Restarted.into()),
             _ => Ok(u8::from(!outcome.tally.is_lossless() && !self.allow_loss)),
         }
     }

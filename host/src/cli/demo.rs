@@ -22,7 +22,7 @@ pub struct Args {
     /// Seed of what is hidden [default: another each time, printed]
     #[arg(long)]
     seed: Option<u64>,
-    /// Print what was found as JSON
+    /// Print the controllers' table as JSON; what was hidden and found is in the folder's diagnosis.json
     #[arg(long)]
     json: bool,
 }
@@ -36,7 +36,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         .with_context(|| format!("the demo in {} did not finish", folder.display()))?;
     spinner.finish_and_clear();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&found)?);
+        println!("{}", serde_json::to_string_pretty(&found.controllers)?);
     } else {
         println!("{}\n", found.diagnosis.sentence);
         println!("hidden: {} (seed {seed})\n", found.diagnosis.hidden.as_deref().unwrap_or("nothing"));

@@ -1,13 +1,17 @@
 //! `twum diagnose`.
 
+use super::existing::ExistingArgs;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::diagnose::cache::{self, Kept};
+use twum_host::diagnose::library::known_effects;
 use twum_host::diagnose::{Details, Options, answer, diagnose, motor, report};
+use twum_host::input::printable;
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
+use twum_host::output;
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::Measurement;
 
@@ -31,9 +35,14 @@ pub struct Args {
     /// Write the refitted motor with the effects found as a motor file
     #[arg(long, value_name = "EXTENDED.toml")]
     save_model: Option<PathBuf>,
+    #[command(flatten)]
+    existing: ExistingArgs,
     /// Simulation to start from
     #[arg(long, value_enum, default_value = "physical")]
     flavour: FlavourArg,
+    /// Take an effect out of the library (may be repeated): what would be said if it were not known?
+    #[arg(long, value_name = "EFFECT")]
+    without: Vec<String>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -71,9 +80,17 @@ pub fn runs_of(folder: &Path) -> Result<(Measurement, Vec<String>)> {
 
 /// The motor that is `given`, or that the measurement names; none for an ordinary one, which has no motor file.
 pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option<Motor>> {
+    if let (None, Some(text)) = (given, measurement.motor_text()) {
+        return Ok(Some(Motor::parse("of the recording", text)?));
+    }
     Ok(match (given, measurement.motor_file()) {
         (Some("inertial"), _) => None,
         (Some(name), _) => Some(Motor::load(name)?),
+        (None, Some(_)) if measurement.folder.is_file() => bail!(
+            "{}: names the motor file `{}` without its content, as recordings did before: give --motor FILE",
+            measurement.folder.display(),
+            printable(&measurement.motor)
+        ),
         (None, Some(path)) => Some(Motor::load(&path.to_string_lossy())?),
         (None, None) if measurement.motor == "inertial" => None,
         (None, None) => Some(Motor::shipped(&measurement.motor)?),
@@ -82,6 +99,9 @@ pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option
 
 /// Runs `twum diagnose`.
 pub fn run(args: Args) -> Result<ExitCode> {
+    for path in args.save_model.iter().chain(&args.report) {
+        output::may_write(path, args.existing.into())?;
+    }
     let mut measurements = Vec::new();
     let mut lost = Vec::new();
     for folder in &args.folders {
@@ -98,8 +118,13 @@ pub fn run(args: Args) -> Result<ExitCode> {
         quick: args.quick,
         coasting: args.flavour == FlavourArg::Thesis,
         motor: motor_file.as_ref().map(|m| m.parameters(flavour)),
-        ..Options::default()
+        without: args.without.clone(),
     };
+    for name in &args.without {
+        if !known_effects().contains(&name.as_str()) {
+            bail!("--without {name}: no effect of this name; the names are {}", known_effects().join(", "));
+        }
+    }
     // Reports and models need what the answer was drawn from.
     let fresh = args.no_cache || args.report.is_some() || args.save_model.is_some();
     let place = cache::default_folder().and_then(|folder| cache::Place::new(&folder, &measurements, &options));
@@ -118,7 +143,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     if let Some(path) = &args.report {
         let title: Vec<&str> = measurements.iter().map(|m| m.name.as_str()).collect();
         let page = report::page(&title.join(", "), &diagnosis, details.as_ref()).context("drawing the report")?;
-        page.write(path).with_context(|| format!("writing {}", path.display()))?;
+        page.write(path)?;
         eprintln!("wrote {}", path.display());
     }
     let kept = Kept { json: serde_json::to_string_pretty(&diagnosis)? + "\n", text: answer::text(&diagnosis) };
@@ -127,13 +152,11 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     print!("{}", if args.json { kept.json } else { kept.text });
     if let Some(path) = &args.save_model {
-        let (Some(motor_file), Some(Details::Runs { outcome, .. })) = (&motor_file, &details) else {
-            bail!(
-                "--save-model needs several runs of a TWUM: what one run shows is not enough to change a motor's file"
-            );
+        let (Some(motor_file), Some(Details::Runs { problem, outcome })) = (&motor_file, &details) else {
+            bail!("--save-model needs a run of a TWUM that could be used, and a motor file");
         };
-        let text = motor::file(motor_file, flavour, &outcome.extended.parameters, &diagnosis)?;
-        std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))?;
+        let text = motor::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?;
+        output::write(path, text, args.existing.into())?;
         eprintln!("wrote {}", path.display());
     }
     Ok(ExitCode::SUCCESS)

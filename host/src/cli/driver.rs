@@ -4,13 +4,16 @@ use super::connect::{ALL_STREAMS, ConnectArgs, RecordArgs};
 use anyhow::{Context, Result};
 use std::io::Write;
 use std::process::ExitCode;
+use twum_host::input::printable;
 use twum_host::link::bench::{Action, Experiment};
 use twum_shared::message::DeviceMessage;
 
 /// Arguments of `twum driver`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Works only while the driver board is in its text mode: before alignment, or after its power was cycled.\n\n\
+    after_help = "Works only while the driver board is in its text mode: before alignment, or after its power was cycled. Motion is \
+                        passed on in pieces of 20 microsteps: Ctrl-C and `twum stop` end it within one, and a minute ends it in any \
+                        case.\n\n\
                         Examples:\n  twum driver --port /dev/ttyUSB0 ap\n  twum driver --port sim 'u100,ap' --out step.mcap"
 )]
 pub struct Args {
@@ -36,8 +39,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
     };
     let outcome = args.connect.perform(experiment, |received| {
         if let DeviceMessage::DriverReply(bytes) = &received.message {
+            let reply = String::from_utf8_lossy(bytes);
+            let lines: Vec<String> = reply.split('\n').map(|line| printable(line.trim_end_matches('\r'))).collect();
             // A closed stdout ends the printing, not the capture.
-            let _ = std::io::stdout().write_all(bytes);
+            let _ = std::io::stdout().write_all(lines.join("\n").as_bytes());
         }
     })?;
     args.record.conclude(&outcome, None)

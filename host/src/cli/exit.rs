@@ -41,6 +41,14 @@ pub fn decide(verdict: &Result<u8>) {
     DECIDED.store(verdict.as_ref().map_or_else(code_of, |code| *code), Ordering::Relaxed);
 }
 
+/// What was decided; not done where nothing was, or where only the printing was left of it.
+pub fn decided_or_failed() -> ExitCode {
+    match DECIDED.load(Ordering::Relaxed) {
+        0 => ExitCode::from(BAD_INPUT),
+        code => ExitCode::from(code),
+    }
+}
+
 /// What was decided; success where nothing was.
 pub fn decided() -> ExitCode {
     ExitCode::from(DECIDED.load(Ordering::Relaxed))

@@ -1,6 +1,7 @@
 //! `twum experiment`.
 
-use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms};
+use super::configuration::ConfigurationArgs;
+use super::connect::{ALL_STREAMS, ConnectArgs, duration_ms, own_configuration, restore};
 use super::diagnose::{motor_of, runs_of};
 use super::{exit, units};
 use anyhow::{Context, Result};
@@ -12,9 +13,11 @@ use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Options, diagnose};
 use twum_host::link::LinkError;
 use twum_host::link::bench::{Action, Experiment, perform};
+use twum_host::link::{Port, Session};
 use twum_host::model::parameters::Flavour;
 use twum_host::record::series::{Series, SeriesError, SeriesRun};
-use twum_shared::message::SpeedRun;
+use twum_shared::message::{Configuration, SpeedRun};
+use twum_shared::step::ConfigSpec;
 use twum_shared::{Direction, Duty};
 
 /// Arguments of `twum experiment`.
@@ -29,7 +32,7 @@ enum What {
     /// Say which runs to make next, as commands that can be pasted
     Plan(PlanArgs),
     /// Make them on a board, real or simulated, into a measurement folder
-    Run(RunArgs),
+    Run(Box<RunArgs>),
 }
 
 /// A first experiment: every tenth of the duty, thrice, long enough for three turns at full drive.
@@ -156,47 +159,89 @@ impl Wanted {
     }
 }
 
-fn make(args: &RunArgs) -> Result<ExitCode> {
-    let series = if args.resume {
+/// The series to begin, or to go on with; nothing when nothing is open.
+enum Task {
+    Begin(Vec<SeriesRun>),
+    Resume(Series),
+}
+
+fn task(args: &RunArgs) -> Result<Option<Task>> {
+    if args.resume {
         let asked = if args.wanted.is_default() { None } else { Some(series_of(&planned(&args.wanted)?)) };
-        Series::resume(&args.out, asked.as_deref())?
-    } else {
-        if args.out.exists() {
-            return Err(SeriesError::Exists(args.out.clone()).into());
-        }
-        let runs = planned(&args.wanted)?;
-        if runs.is_empty() {
-            eprintln!("nothing is open that another run would decide");
-            return Ok(ExitCode::SUCCESS);
-        }
-        Series::begin(&args.out, series_of(&runs))?
+        return Ok(Some(Task::Resume(Series::resume(&args.out, asked.as_deref())?)));
+    }
+    if args.out.exists() {
+        return Err(SeriesError::Exists(args.out.clone()).into());
+    }
+    let runs = series_of(&planned(&args.wanted)?);
+    Ok((!runs.is_empty()).then_some(Task::Begin(runs)))
+}
+
+fn make(args: &RunArgs) -> Result<ExitCode> {
+    // What is wrong with the arguments is said before the port is opened, and a refused command leaves no folder.
+    let Some(task) = task(args)? else {
+        eprintln!("nothing is open that another run would decide");
+        return Ok(ExitCode::SUCCESS);
     };
-    let verdict = match perform_all(args, &series) {
+    args.configuration.over(Configuration::with_control(ConfigSpec::DEFAULT))?;
+    let mut session = args.connect.session()?;
+    let own = own_configuration(&mut session)?;
+    let motor = args.connect.motor(&mut session)?;
+    let series = match task {
+        Task::Begin(runs) => Series::begin(&args.out, runs)?,
+        Task::Resume(series) => series,
+    };
+    let mut used = own;
+    let result = perform_all(args, &series, &mut session, &motor, &mut used);
+    restore(&mut session, own, used);
+    let verdict = match result {
         Ok(None) => Ok(0),
         Ok(Some((id, error))) => Err(anyhow::Error::from(error).context(format!("run {id}"))),
         Err(error) => Err(error),
     };
     exit::decide(&verdict);
+    conclude(args, &series, verdict)
+}
+
+/// However the series ended, what was made to its end becomes a measurement.
+fn conclude(args: &RunArgs, series: &Series, verdict: Result<u8>) -> Result<ExitCode> {
+    let measured = series.measure();
+    let made = measured.as_ref().ok().and_then(|(saved, _)| saved.as_ref()).map_or(0, |saved| saved.runs.len());
     if verdict.is_err() {
-        eprintln!("stopped; `twum experiment run --resume --out {}` goes on with it", args.out.display());
+        eprintln!(
+            "{made} of {} runs were made; {} keeps what was recorded, and `twum experiment run --resume --out {}` goes on",
+            series.runs().len(),
+            series.recordings().display(),
+            args.out.display()
+        );
     }
-    // However it ended, what was made to its end becomes a measurement.
-    let (saved, notes) = series.measure()?;
-    notes.iter().for_each(|note| eprintln!("{note}"));
-    if let Some(saved) = &saved {
-        println!("{}", saved.folder.display());
-        eprintln!("{} of {} runs; next: twum diagnose {}", saved.runs.len(), series.runs().len(), args.out.display());
+    match measured {
+        Ok((saved, notes)) => {
+            notes.iter().for_each(|note| eprintln!("{note}"));
+            if let Some(saved) = saved {
+                println!("{}", saved.folder.display());
+                eprintln!("{made} of {} runs; next: twum diagnose {}", series.runs().len(), args.out.display());
+            }
+        }
+        // Why the runs ended is what there is to say first.
+        Err(error) if verdict.is_err() => eprintln!("no measurement was made of them: {error}"),
+        Err(error) => return Err(error.into()),
     }
     verdict.map(ExitCode::from)
 }
 
-/// Makes the runs that are not made yet; the one that was cut short, and by what.
-fn perform_all(args: &RunArgs, series: &Series) -> Result<Option<(String, LinkError)>> {
-    let runs = series.runs();
+/// Makes the runs that are not made yet, on a board whose own configuration is `used` at first, and which it was given last
+/// afterwards; the run that was cut short, and by what.
+fn perform_all(
+    args: &RunArgs,
+    series: &Series,
+    session: &mut Session<Box<dyn Port>>,
+    motor: &str,
+    used: &mut Configuration,
+) -> Result<Option<(String, LinkError)>> {
+    let (runs, own) = (series.runs(), *used);
     let bar = ProgressBar::new(runs.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
-    let mut session = args.connect.session()?;
-    let motor = args.connect.motor(&mut session)?;
     for run in runs {
         bar.set_message(run.id.clone());
         if series.is_made(run)? {
@@ -206,8 +251,9 @@ fn perform_all(args: &RunArgs, series: &Series) -> Result<Option<(String, LinkEr
         if let Err(error) = session.rest(Duration::from_secs_f64(run.pause_s.max(0.0))) {
             return Ok(Some((run.id.clone(), error)));
         }
-        let mut configuration = args.configuration.configuration()?;
+        let mut configuration = args.configuration.over(own)?;
         configuration.pwm_hz = run.pwm_hz.round() as u16;
+        *used = configuration;
         let experiment = Experiment {
             configuration: Some(configuration),
             capture: ALL_STREAMS,
@@ -217,9 +263,9 @@ fn perform_all(args: &RunArgs, series: &Series) -> Result<Option<(String, LinkEr
                 duration_ms: duration_ms(run.seconds)?,
             }),
             recording: Some(series.recording(run)),
-            motor: motor.clone(),
+            motor: motor.to_owned(),
         };
-        let outcome = perform(&mut session, &experiment, None, |_| {}).with_context(|| format!("run {}", run.id))?;
+        let outcome = perform(session, &experiment, None, |_| {}).with_context(|| format!("run {}", run.id))?;
         if let Some(error) = outcome.cut() {
             // No ordinary run: it goes by another name, and into no measurement.
             series.set_aside(run)?;

@@ -1,8 +1,10 @@
 //! `twum export`.
 
+use super::existing::ExistingArgs;
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::model::motor::Motor;
 use twum_host::record::export::{EncoderSource, to_measurement, write_csv, write_mcap};
 use twum_host::record::recording::Recording;
 
@@ -15,7 +17,7 @@ Examples:
                                              decoded signals with schemas, for Foxglove or PlotJuggler
   twum export run.mcap --to folder bench3    a measurement folder for `twum compare` and `twum diagnose`
 
-The recording itself is never changed and nothing is overwritten.")]
+The recording itself is never changed, and folders are never overwritten.")]
 pub struct Args {
     /// Recording made by `twum capture`, `twum speed` or `twum track`
     recording: PathBuf,
@@ -27,6 +29,11 @@ pub struct Args {
     /// Encoder data of open-loop runs in a measurement folder, where both were captured
     #[arg(long, value_enum, default_value = "edges")]
     encoder: Encoder,
+    /// Motor of a measurement folder, instead of the one the recording holds
+    #[arg(long, value_name = "NAME|FILE")]
+    motor: Option<String>,
+    #[command(flatten)]
+    existing: ExistingArgs,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -44,13 +51,17 @@ enum Encoder {
 
 /// Runs `twum export`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    let recording = Recording::load(&args.recording)?;
+    let motor = args.motor.as_deref().map(Motor::kept).transpose()?;
+    let mut recording = Recording::load(&args.recording)?;
+    if let Some(motor) = motor {
+        recording.metadata.motor = motor;
+    }
     for line in recording.losses() {
         eprintln!("warning: {}: {line}", args.recording.display());
     }
     let done = match args.to {
         Target::Csv => write_csv(&recording, &args.out).map(|()| Vec::new()),
-        Target::Mcap => write_mcap(&recording, &args.out).map(|()| Vec::new()),
+        Target::Mcap => write_mcap(&recording, &args.out, args.existing.into()).map(|()| Vec::new()),
         Target::Folder => {
             let name = args.recording.file_stem().map_or_else(Default::default, |stem| stem.to_string_lossy());
             let source = match args.encoder {

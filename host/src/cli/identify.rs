@@ -28,7 +28,7 @@ enum What {
 /// Where a result is written.
 #[derive(Debug, clap::Args)]
 struct Save {
-    /// Write the result into this motor file, made from --motor if it is not there
+    /// Write the result into this motor file, made from --motor if it is not there; its other values are kept
     #[arg(long, value_name = "FILE")]
     save: Option<PathBuf>,
     /// Motor to start from: a shipped name or a motor file
@@ -190,7 +190,7 @@ fn run_stator(args: Stator) -> Result<ExitCode> {
         format!("{}: no circuit could be fitted: is this an admittance sweep of a stator?", args.file.display())
     })?;
     if let Some(path) = &args.figure {
-        figures::stator(&sweep, &found).write(path).with_context(|| path.display().to_string())?;
+        figures::stator(&sweep, &found).write(path)?;
     }
     if args.json {
         println!("{}", serde_json::to_string(&found.report)?);
@@ -204,7 +204,7 @@ fn run_stator(args: Stator) -> Result<ExitCode> {
 fn run_friction(args: Friction) -> Result<ExitCode> {
     let found = friction::identify(&args.folder, args.allow_missing)?;
     if let Some(path) = &args.figure {
-        figures::friction(&found).write(path).with_context(|| path.display().to_string())?;
+        figures::friction(&found).write(path)?;
     }
     if args.json {
         println!("{}", serde_json::to_string(&found.report)?);

@@ -1,8 +1,10 @@
 //! `twum info`.
 
-use super::connect::ConnectArgs;
+use super::connect::{ConnectArgs, Reached};
 use anyhow::Result;
 use std::process::ExitCode;
+use twum_host::input::printable;
+use twum_host::link::relay;
 use twum_shared::frame::PROTOCOL_VERSION;
 
 /// Arguments of `twum info`.
@@ -18,11 +20,14 @@ pub struct Args {
 
 /// Runs `twum info`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    let identity = args.connect.session()?.hello()?;
+    let identity = match args.connect.session_or(relay::hello_through)? {
+        Reached::Port(mut session) => session.hello()?,
+        Reached::Through(identity) => identity,
+    };
     let rows = [
         ("protocol", PROTOCOL_VERSION.to_string()),
-        ("firmware", identity.firmware.to_string()),
-        ("chip", identity.chip.to_string()),
+        ("firmware", printable(&identity.firmware)),
+        ("chip", printable(&identity.chip)),
         ("reset", format!("{:?}", identity.reset)),
         ("mode", format!("{:?}", identity.mode)),
         ("fault", identity.fault.map_or("none".to_owned(), |fault| format!("{fault:?}"))),

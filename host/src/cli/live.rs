@@ -125,6 +125,10 @@ impl Screen {
         if let Some(server) = &mut self.server {
             server.send(view);
         }
+        if INTERRUPTED.load(Ordering::Relaxed) || (self.terminal.is_some() && !std::io::stdout().is_terminal()) {
+            // A terminal whose window was closed is none any more.
+            return Ok(true);
+        }
         let Some(terminal) = &mut self.terminal else {
             thread::sleep(DRAW_EVERY);
             return Ok(INTERRUPTED.load(Ordering::Relaxed));
@@ -147,9 +151,7 @@ impl Drop for Screen {
 }
 
 fn follow(recording: &Path, mut screen: Screen) -> Result<ExitCode> {
-    if screen.terminal.is_none() {
-        catch_interrupts()?;
-    }
+    catch_interrupts()?;
     let mut decoder = Decoder::open(recording)?;
     decoder.follow();
     let mut view = LiveView::new();
@@ -172,7 +174,12 @@ fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<E
         motor: String::new(),
     };
     let (sender, receiver) = sync_channel::<Received>(WAITING);
-    let drawing = thread::spawn(move || show_received(&receiver, screen));
+    let drawing = thread::spawn(move || {
+        let shown = show_received(&receiver, screen);
+        // Without a screen nobody would end it.
+        INTERRUPTED.store(true, Ordering::Relaxed);
+        shown
+    });
     let outcome = connect.perform(experiment, |received| {
         let _ = sender.try_send(received.clone());
     });
@@ -195,7 +202,7 @@ fn show_received(receiver: &Receiver<Received>, mut screen: Screen) -> Result<()
             }
         }
         if screen.show(&view, "board", LinkStatistics::default())? {
-            INTERRUPTED.store(true, Ordering::Relaxed);
+            return Ok(());
         }
     }
 }

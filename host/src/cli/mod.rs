@@ -5,23 +5,29 @@ mod capture;
 mod compare;
 mod completions;
 mod config;
+mod configuration;
 mod connect;
+mod defaults;
 mod demo;
 mod diagnose;
 mod driver;
+mod existing;
 pub mod exit;
 mod experiment;
 mod export;
+mod flash;
 mod identify;
 mod import;
 mod info;
 mod instruments;
 mod live;
 mod model;
+mod motor;
 mod neck;
 mod output;
 mod plot;
 mod ports;
+mod reboot;
 mod replay;
 mod run;
 mod signals;
@@ -38,7 +44,7 @@ use std::process::ExitCode;
 
 /// Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
 #[derive(Debug, Parser)]
-#[command(name = "twum", version, about, after_help = exit::HELP)]
+#[command(name = "twum", version, about, after_help = format!("{}\n\n{}", existing::POLICY, exit::HELP))]
 pub struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
@@ -68,12 +74,12 @@ enum Command {
     Align(align::Args),
     /// Record what the board streams
     Capture(capture::Args),
-    /// Print a shell's completions
-    Completions(completions::Args),
-    /// Show the file of your own defaults
-    Config(config::Args),
     /// Hold a recording or measurement folder against the fixed-point model and the simulation
     Compare(compare::Args),
+    /// Print a shell's completions
+    Completions(completions::Args),
+    /// Show, dump, load or compare the configuration a board keeps, and show your own defaults
+    Config(config::Args),
     /// Drive a simulated motor end to end and write a report
     Demo(demo::Args),
     /// Show what the simulation gets wrong and name the cause
@@ -84,6 +90,8 @@ enum Command {
     Experiment(experiment::Args),
     /// Turn a recording into CSV, decoded MCAP or a measurement folder
     Export(export::Args),
+    /// Put this version's firmware on a board
+    Flash(flash::Args),
     /// Identify the stator's circuit, friction and the force factor
     Identify(identify::Args),
     /// Check a measurement folder and convert it
@@ -104,6 +112,8 @@ enum Command {
     Plot(plot::Args),
     /// List serial ports
     Ports(ports::Args),
+    /// Restart a board
+    Reboot(reboot::Args),
     /// Check a recording bit for bit against the fixed-point step
     Replay(replay::Args),
     /// Serve a simulated board
@@ -129,14 +139,15 @@ impl Cli {
             Command::Align(args) => align::run(args),
             Command::Capture(args) => capture::run(args),
             Command::Completions(args) => completions::run(&args),
-            Command::Config(args) => config::run(&args),
             Command::Man(args) => completions::man(&args),
             Command::Compare(args) => compare::run(args),
+            Command::Config(args) => config::run(args),
             Command::Demo(args) => demo::run(args),
             Command::Diagnose(args) => diagnose::run(args),
             Command::Driver(args) => driver::run(args),
             Command::Experiment(args) => experiment::run(args),
             Command::Export(args) => export::run(args),
+            Command::Flash(args) => flash::run(args),
             Command::Identify(args) => identify::run(args),
             Command::Import(args) => import::run(args),
             Command::Info(args) => info::run(args),
@@ -146,6 +157,7 @@ impl Cli {
             Command::Neck(args) => neck::run(args),
             Command::Plot(args) => plot::run(args),
             Command::Ports(args) => ports::run(args),
+            Command::Reboot(args) => reboot::run(args),
             Command::Replay(args) => replay::run(args),
             Command::Sim(args) => sim::run(args),
             Command::Speed(args) => speed::run(args),

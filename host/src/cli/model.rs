@@ -1,5 +1,6 @@
 //! `twum model`.
 
+use super::existing::ExistingArgs;
 use super::output::{print_table, spinner};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
@@ -13,6 +14,7 @@ use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::{History, MotorPlant, Solver};
 use twum_host::model::parameters::Flavour;
 use twum_host::model::study::{Setup, Speed};
+use twum_host::output::{self, Existing, Output};
 use twum_host::report::figure::{Figure, Panel};
 use twum_shared::reference::Reference;
 use twum_shared::step::{Config, ConfigSpec};
@@ -21,12 +23,12 @@ use twum_shared::step::{Config, ConfigSpec};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  twum model speed                                  full drive, measured flavour, averaged model
+  twum model speed                                  full drive, physical flavour, averaged model
   twum model speed --solver carrier --seconds 0.4   the same at carrier resolution
-  twum model speed --flavour physical --duty 0.5 --set u=0.12 --json
-  twum model sweep --flavour physical --plot speed_duty.svg
-  twum model torque --flavour physical --plot torque.png
-  twum model loop --csv loop.csv --plot loop.svg
+  twum model speed --duty 0.5 --set u=0.12 --json
+  twum model sweep --plot speed_duty.svg
+  twum model torque --plot torque.png
+  twum model loop --flavour measured --csv loop.csv --plot loop.svg     the thesis's closed loop
   twum model braking                                how much the rotor brakes with the drive off
   twum model check                                  the tables of docs/model.md, for this motor
 
@@ -106,6 +108,8 @@ enum Question {
         /// Write every control tick to this file
         #[arg(long, value_name = "FILE")]
         csv: Option<PathBuf>,
+        #[command(flatten)]
+        existing: ExistingArgs,
     },
 }
 
@@ -167,12 +171,16 @@ impl Common {
             seconds: self.seconds.unwrap_or(seconds),
         };
         setup.check()?;
+        setup.check_load()?;
+        if let Some(path) = &self.plot {
+            output::may_write(path, Existing::Keep)?;
+        }
         Ok(setup)
     }
 
     fn draw(&self, figure: impl FnOnce() -> Result<Figure>) -> Result<()> {
         if let Some(path) = &self.plot {
-            figure()?.write(path).with_context(|| format!("cannot draw {}", path.display()))?;
+            figure()?.write(path)?;
             eprintln!("wrote {}", path.display());
         }
         Ok(())
@@ -187,8 +195,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Question::Torque { common, duty, points } => torque(&common, duty, points),
         Question::Braking { motor, json, plot } => brake(&motor, json, plot),
         Question::Check { motor, json } => check_models(&motor, json),
-        Question::Loop { common, control, amplitude, omega, true_sense, csv } => {
-            follow(&common, control, amplitude, omega, true_sense, csv)
+        Question::Loop { common, control, amplitude, omega, true_sense, csv, existing } => {
+            follow(&common, control, amplitude, omega, true_sense, csv, existing)
         }
     }?;
     Ok(ExitCode::SUCCESS)
@@ -204,6 +212,7 @@ fn speed(common: &Common, duty: f64) -> Result<()> {
     let waiting = spinner();
     let speed = setup.speed()?;
     waiting.finish_and_clear();
+    finite(&[(duty, speed)])?;
     if common.json {
         print_json(&speed)?;
     } else {
@@ -223,6 +232,16 @@ fn speed(common: &Common, duty: f64) -> Result<()> {
     })
 }
 
+/// Refuses an answer that is no number.
+fn finite(speeds: &[(f64, Speed)]) -> Result<()> {
+    match speeds.iter().find(|(_, speed)| !speed.speed_rad_s.is_finite()) {
+        Some((at, _)) => {
+            bail!("the model gives no finite speed at {at}: these parameters are outside what it describes")
+        }
+        None => Ok(()),
+    }
+}
+
 #[derive(Serialize)]
 struct SweepPoint {
     duty: f64,
@@ -239,6 +258,7 @@ fn sweep(common: &Common, points: usize) -> Result<()> {
     let waiting = spinner();
     let speeds = setup.sweep(&duties)?;
     waiting.finish_and_clear();
+    finite(&speeds)?;
     if common.json {
         print_json(&speeds.iter().map(|&(duty, speed)| SweepPoint { duty, speed }).collect::<Vec<_>>())?;
     } else {
@@ -273,6 +293,7 @@ fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
     let waiting = spinner();
     let speeds = setup.under_loads(&loads)?;
     waiting.finish_and_clear();
+    finite(&speeds)?;
     if common.json {
         print_json(&speeds.iter().map(|&(load_nm, speed)| TorquePoint { load_nm, speed }).collect::<Vec<_>>())?;
     } else {
@@ -422,8 +443,12 @@ fn follow(
     omega: f64,
     true_sense: bool,
     csv: Option<PathBuf>,
+    existing: ExistingArgs,
 ) -> Result<()> {
     let setup = common.setup(1.0, 10.0)?;
+    if let Some(path) = &csv {
+        output::may_write(path, existing.into())?;
+    }
     let spec = match control {
         ControlArg::Thesis => ConfigSpec::THESIS,
         ControlArg::Default => ConfigSpec::DEFAULT,
@@ -460,14 +485,16 @@ fn follow(
         println!("the count ended {} counts off the true position", following.miscount);
     }
     if let Some(path) = csv {
-        write_csv(&path, &trace).with_context(|| format!("cannot write {}", path.display()))?;
+        let mut out = Output::begin(&path, existing.into())?;
+        write_csv(&mut out, &trace).with_context(|| format!("cannot write {}", path.display()))?;
+        out.finish()?;
     }
     common.draw(|| Ok(loop_figure(&program, &trace, &setup)))
 }
 
 /// The `control` format of a measurement folder.
-fn write_csv(path: &std::path::Path, trace: &[Tick]) -> Result<()> {
-    let mut writer = csv::Writer::from_path(path)?;
+fn write_csv(out: &mut Output, trace: &[Tick]) -> Result<()> {
+    let mut writer = csv::Writer::from_writer(out);
     writer.write_record(["time_us", "target", "position", "u", "duty", "direction"])?;
     for tick in trace {
         writer.write_record([

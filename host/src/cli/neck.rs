@@ -1,10 +1,11 @@
 //! `twum neck`.
 
+use super::connect::{INTERRUPTED, catch_interrupts};
+use super::existing::ExistingArgs;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -21,6 +22,7 @@ use twum_host::neck::score::Score;
 use twum_host::neck::session::{DEFAULT_EDGES_PER_REV, Session, Setup};
 use twum_host::neck::study::Study;
 use twum_host::neck::{foxglove, page, path, picture};
+use twum_host::output::{self, Output};
 
 /// Arguments of `twum neck`.
 #[derive(Debug, clap::Args)]
@@ -68,7 +70,7 @@ struct RunArgs {
     #[arg(long, default_value = "pcbmotor-30mm", value_name = "NAME|FILE")]
     motor: String,
     /// Flavour of the motor model; the physical one has the maker's stall torque, which loads at a joint need
-    #[arg(long, value_enum, default_value = "physical")]
+    #[arg(long, value_enum, default_value_t)]
     flavour: Flavour,
     /// Controller [default: `thesis` with the thesis flavour, `default` otherwise]
     #[arg(long, value_enum)]
@@ -115,6 +117,8 @@ struct RunArgs {
     /// Write an MCAP file with frame transforms, for Foxglove
     #[arg(long, value_name = "FILE.mcap")]
     mcap: Option<PathBuf>,
+    #[command(flatten)]
+    existing: ExistingArgs,
 }
 
 #[derive(Debug, clap::Args)]
@@ -140,6 +144,8 @@ struct StudyArgs {
     /// CSV file [default: standard output]
     #[arg(long, value_name = "FILE.csv")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    existing: ExistingArgs,
     /// Print the study file that is used when none is given
     #[arg(long)]
     example: bool,
@@ -168,6 +174,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
 }
 
 fn simulate(args: RunArgs) -> Result<ExitCode> {
+    for path in args.figure.iter().chain(&args.page).chain(&args.mcap) {
+        output::may_write(path, args.existing.into())?;
+    }
     let exercises = match args.exercise.as_str() {
         "all" => Exercise::SHIPPED.iter().map(|name| Exercise::shipped(name)).collect::<Result<Vec<_>, _>>()?,
         name => vec![Exercise::load(name)?],
@@ -193,12 +202,13 @@ fn simulate(args: RunArgs) -> Result<ExitCode> {
     if let Some(file) = args.page {
         let played: Vec<_> = sessions.iter().zip(&scores).collect();
         let html = page::page("Neck range-of-motion exercises", &report.setup_line(), &played);
-        std::fs::write(&file, html).with_context(|| file.display().to_string())?;
+        output::write(&file, html, args.existing.into())?;
         eprintln!("wrote {}", file.display());
     }
     if let Some(file) = args.mcap {
-        let to = File::create(&file).with_context(|| file.display().to_string())?;
-        foxglove::write(&all, BufWriter::new(to)).with_context(|| file.display().to_string())?;
+        let mut to = Output::begin(&file, args.existing.into())?;
+        foxglove::write(&all, &mut to).with_context(|| file.display().to_string())?;
+        to.finish()?;
         eprintln!("wrote {}", file.display());
     }
     Ok(ExitCode::SUCCESS)
@@ -279,7 +289,11 @@ fn study(args: &StudyArgs) -> Result<ExitCode> {
     };
     let bar = ProgressBar::new(study.cases() as u64).with_style(bar_style());
     bar.set_message("cases");
-    let rows = study.run(|done| bar.set_position(done as u64))?;
+    if let Some(file) = &args.out {
+        output::may_write(file, args.existing.into())?;
+    }
+    catch_interrupts()?;
+    let rows = study.run(&INTERRUPTED, |done| bar.set_position(done as u64))?;
     bar.finish_and_clear();
     let mut table = csv::Writer::from_writer(Vec::new());
     for row in &rows {
@@ -287,11 +301,15 @@ fn study(args: &StudyArgs) -> Result<ExitCode> {
     }
     let table = table.into_inner()?;
     match &args.out {
-        Some(file) => std::fs::write(file, table).with_context(|| file.display().to_string())?,
+        Some(file) => output::write(file, table, args.existing.into())?,
         None => emit(&table)?,
     }
     let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();
     eprintln!("{} cases, {refused} of them refused", rows.len());
+    if rows.len() < study.cases() {
+        eprintln!("error: interrupted: {} of {} cases are in the table", rows.len(), study.cases());
+        return Ok(ExitCode::from(130));
+    }
     Ok(ExitCode::SUCCESS)
 }
 

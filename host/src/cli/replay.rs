@@ -9,7 +9,7 @@ use twum_host::compare::replay::{RecordingReplay, replay_recording};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Every control tick is recomputed with the function the board runs, from the state its block starts with, and must match bit
-for bit. Missing ticks are counted, not guessed.
+for bit. Missing ticks are counted, not guessed, to the end of their run; so are missing samples and edges, and restarts.
 
 Examples:
   twum replay sine.mcap
@@ -45,6 +45,15 @@ fn print(found: &RecordingReplay) {
         );
     }
     println!("{} gaps, {} ticks missing", replay.gaps, replay.missing);
+    if replay.missing_bits > 0 || replay.missing_edges > 0 {
+        println!("{} samples of the 1 kHz capture and {} edges missing", replay.missing_bits, replay.missing_edges);
+    }
+    if replay.unended > 0 {
+        println!("{} runs without their end", replay.unended);
+    }
+    if link.sessions > 1 {
+        println!("the board restarted {} times", link.sessions - 1);
+    }
     if replay.unconfigured > 0 {
         println!("{} ticks without a configuration before them: not checked", replay.unconfigured);
     }
@@ -52,7 +61,13 @@ fn print(found: &RecordingReplay) {
         println!("nothing to check: only `twum track` records control ticks");
     }
     println!(
-        "frames: {} intact, {} broken, {} sequence numbers missing; file: {:?}, {} damaged places",
-        link.device_frames, link.broken_frames, link.missing_sequences, file.ending, file.damaged_places
+        "frames: {} intact, {} broken, {} sequence numbers missing, {} came again and were dropped; file: {:?}, {} \
+         damaged places",
+        link.device_frames,
+        link.broken_frames,
+        link.missing_sequences,
+        link.duplicates,
+        file.ending,
+        file.damaged_places
     );
 }

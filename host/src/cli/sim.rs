@@ -1,6 +1,7 @@
 //! `twum sim`.
 
-use super::connect::{INTERRUPTED, MotorArgs, catch_interrupts};
+use super::connect::{INTERRUPTED, catch_interrupts};
+use super::motor::MotorArgs;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use twum_host::link::serve;

@@ -1,10 +1,11 @@
 //! `twum speed`.
 
-use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, RecordArgs, duration_ms};
+use super::configuration::ConfigurationArgs;
+use super::connect::{ConnectArgs, RecordArgs, duration_ms};
 use super::units;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
-use twum_host::link::bench::{Action, Experiment};
+use twum_host::link::bench::Action;
 use twum_shared::message::SpeedRun;
 use twum_shared::{Direction, Duty};
 
@@ -44,12 +45,6 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Way::Cw => Direction::Cw,
         Way::Ccw => Direction::Ccw,
     };
-    let experiment = Experiment {
-        configuration: Some(args.configuration.configuration()?),
-        capture: ALL_STREAMS,
-        action: Action::Speed(SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? }),
-        recording: args.record.out.clone(),
-        motor: String::new(),
-    };
-    super::run::make(&args.connect, &args.record, experiment)
+    let run = SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? };
+    super::run::make(&args.connect, &args.configuration, &args.record, |_| Ok(Action::Speed(run)))
 }

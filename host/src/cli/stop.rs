@@ -1,8 +1,9 @@
 //! `twum stop`.
 
-use super::connect::ConnectArgs;
+use super::connect::{ConnectArgs, Reached};
 use anyhow::Result;
 use std::process::ExitCode;
+use twum_host::link::relay;
 
 /// Arguments of `twum stop`.
 #[derive(Debug, clap::Args)]
@@ -14,7 +15,13 @@ pub struct Args {
 
 /// Runs `twum stop`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    let mut session = args.connect.session()?;
+    let mut session = match args.connect.session_or(relay::stop_through)? {
+        Reached::Port(session) => session,
+        Reached::Through(()) => {
+            println!("stopped, through the program that holds the port; the board acknowledged it");
+            return Ok(ExitCode::SUCCESS);
+        }
+    };
     // Off first; which fault it was is asked before it is cleared.
     session.halt()?;
     let fault = session.hello()?.fault;

@@ -1,10 +1,11 @@
 //! `twum track`.
 
-use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, RecordArgs, duration_ms};
+use super::configuration::ConfigurationArgs;
+use super::connect::{ConnectArgs, RecordArgs, duration_ms};
 use super::units;
 use anyhow::{Context, Result, anyhow};
 use std::process::ExitCode;
-use twum_host::link::bench::{Action, Experiment};
+use twum_host::link::bench::Action;
 use twum_shared::message::TrackRun;
 use twum_shared::reference::{Reference, WayPoint};
 
@@ -46,12 +47,12 @@ struct ReferenceArgs {
 
 impl ReferenceArgs {
     fn reference(&self, edges: u16) -> Result<Reference> {
-        let counts = |text: &str| units::counts(text, edges).map(|v| v.round() as i32);
+        let counts = |text: &str| units::whole(units::counts(text, edges));
         let reference = if let Some(text) = &self.step {
             Reference::Step { position: counts(text).context("--step")?, at_us: 0 }
         } else if let Some(text) = &self.ramp {
             let (rate, limit) = pair(text, ',').context("--ramp is SPEED,ANGLE")?;
-            let rate = units::counts_s(rate, edges).context("--ramp")?.round() as i32;
+            let rate = units::whole(units::counts_s(rate, edges)).context("--ramp")?;
             let limit = counts(limit).context("--ramp")?;
             Reference::Ramp { rate, limit: u32::try_from(limit).context("--ramp: the angle is an amount")? }
         } else if let Some(text) = &self.path {
@@ -79,7 +80,7 @@ fn pair(text: &str, separator: char) -> Result<(&str, &str)> {
 
 fn way_point(text: &str, edges: u16) -> Result<WayPoint> {
     let (position, seconds) = pair(text, ':').context("a way point is ANGLE:SECONDS")?;
-    let position = units::counts(position, edges).with_context(|| format!("way point `{text}`"))?.round() as i32;
+    let position = units::whole(units::counts(position, edges)).with_context(|| format!("way point `{text}`"))?;
     let seconds: f64 =
         seconds.trim().parse().with_context(|| format!("way point `{text}`: `{seconds}` is not a number"))?;
     if !(0.0..=4000.0).contains(&seconds) {
@@ -90,13 +91,9 @@ fn way_point(text: &str, edges: u16) -> Result<WayPoint> {
 
 /// Runs `twum track`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    let reference = args.reference.reference(args.configuration.edges_per_rev()?)?;
-    let experiment = Experiment {
-        configuration: Some(args.configuration.configuration()?),
-        capture: ALL_STREAMS,
-        action: Action::Track(TrackRun { reference, duration_ms: duration_ms(args.seconds)? }),
-        recording: args.record.out.clone(),
-        motor: String::new(),
-    };
-    super::run::make(&args.connect, &args.record, experiment)
+    let duration_ms = duration_ms(args.seconds)?;
+    super::run::make(&args.connect, &args.configuration, &args.record, |configuration| {
+        let reference = args.reference.reference(configuration.edges_per_rev)?;
+        Ok(Action::Track(TrackRun { reference, duration_ms }))
+    })
 }

@@ -39,6 +39,24 @@ pub fn counts_s(text: &str, edges_per_rev: u16) -> Result<f64> {
     finite(text, scaled(text, &units, "a speed: counts/s, or such as 30rpm or 180deg/s")?)
 }
 
+/// A quantity in whole counts.
+pub fn whole(value: Result<f64>) -> Result<i32> {
+    let value = value?.round();
+    if value.abs() > f64::from(i32::MAX) {
+        bail!("{value} counts are more than the board can count");
+    }
+    Ok(value as i32)
+}
+
+/// An amount in whole counts, which has no sign.
+pub fn amount(value: Result<f64>) -> Result<u32> {
+    let value = value?.round();
+    if !(0.0..=f64::from(u32::MAX)).contains(&value) {
+        bail!("{value} counts: an amount is neither negative nor beyond what the board can count");
+    }
+    Ok(value as u32)
+}
+
 /// A duty, as a fraction.
 pub fn duty(text: &str) -> Result<f64> {
     let value = scaled(text, &[("%", 0.01)], "a duty: a fraction such as 0.5, or 50%")?;

@@ -1,10 +1,12 @@
 //! `twum velocity`.
 
+use super::existing::ExistingArgs;
 use super::output::print_table;
 use anyhow::{Context, Result, bail};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use twum_host::output::{self, Output};
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, Run};
 use twum_host::report::run::SpeedFigures;
@@ -55,6 +57,8 @@ pub struct Args {
     /// Write position and speed at every sample to this file (- for stdout, instead of the summary)
     #[arg(long, value_name = "FILE", conflicts_with = "json")]
     csv: Option<PathBuf>,
+    #[command(flatten)]
+    existing: ExistingArgs,
     /// Draw the run to this file, .svg or .png
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
@@ -108,6 +112,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
         }
         return Ok(ExitCode::SUCCESS);
     }
+    for path in args.plot.iter().chain(&args.csv).filter(|path| path.as_os_str() != "-") {
+        output::may_write(path, args.existing.into())?;
+    }
     let folder = args.folder.as_deref().expect("clap requires the folder without --trials");
     let (measurement, notes) = load_runs(folder)?;
     for note in notes {
@@ -122,7 +129,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     };
     if args.method == MethodArg::ThesisSteps {
         let Some(csv) = &args.csv else { bail!("--method thesis-steps goes with --csv") };
-        write_steps(csv, &runs, &options)?;
+        write_table(csv, args.existing, |out| write_steps(out, &runs, &options))?;
         return Ok(ExitCode::SUCCESS);
     }
     let motions = runs
@@ -135,7 +142,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     let summaries: Vec<SpeedFigures> =
         runs.iter().zip(&motions).map(|(run, motion)| SpeedFigures::of(run, motion)).collect();
     match &args.csv {
-        Some(csv) => write_motions(csv, &runs, &motions)?,
+        Some(csv) => write_table(csv, args.existing, |out| write_motions(out, &runs, &motions))?,
         None if args.json => println!("{}", serde_json::to_string_pretty(&summaries)?),
         None => print_summaries(&summaries),
     }
@@ -215,17 +222,18 @@ fn print_summaries(summaries: &[SpeedFigures]) {
     );
 }
 
-fn open(path: &Path) -> Result<Box<dyn Write>> {
-    Ok(if path.as_os_str() == "-" {
-        Box::new(std::io::BufWriter::new(std::io::stdout().lock()))
-    } else {
-        let file = std::fs::File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-        Box::new(std::io::BufWriter::new(file))
-    })
+fn write_table(path: &Path, existing: ExistingArgs, fill: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
+    if path.as_os_str() == "-" {
+        let mut out = std::io::BufWriter::new(std::io::stdout().lock());
+        fill(&mut out)?;
+        return Ok(out.flush()?);
+    }
+    let mut out = Output::begin(path, existing.into())?;
+    fill(&mut out).with_context(|| format!("cannot write {}", path.display()))?;
+    Ok(out.finish()?)
 }
 
-fn write_motions(path: &Path, runs: &[&Run], motions: &[Motion]) -> Result<()> {
-    let mut out = open(path)?;
+fn write_motions(out: &mut dyn Write, runs: &[&Run], motions: &[Motion]) -> Result<()> {
     writeln!(out, "run,time_us,position_rad,rpm,rpm_sd")?;
     for (run, m) in runs.iter().zip(motions) {
         for i in 0..m.time_us.len() {
@@ -233,11 +241,10 @@ fn write_motions(path: &Path, runs: &[&Run], motions: &[Motion]) -> Result<()> {
             writeln!(out, "{},{:.3},{:.8},{:.6},{sd}", run.id, m.time_us[i], m.position_rad[i], m.speed_rpm[i])?;
         }
     }
-    Ok(out.flush()?)
+    Ok(())
 }
 
-fn write_steps(path: &Path, runs: &[&Run], options: &Options) -> Result<()> {
-    let mut out = open(path)?;
+fn write_steps(out: &mut dyn Write, runs: &[&Run], options: &Options) -> Result<()> {
     writeln!(out, "run,time_us,spline_rad,position_rad,rpm_raw,rpm_butterworth,rpm_moving_average,rpm_median")?;
     for run in runs {
         let s = thesis_steps(run, options).with_context(|| format!("run {}", run.id))?;
@@ -256,5 +263,5 @@ fn write_steps(path: &Path, runs: &[&Run], options: &Options) -> Result<()> {
             )?;
         }
     }
-    Ok(out.flush()?)
+    Ok(())
 }

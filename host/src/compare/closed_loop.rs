@@ -2,6 +2,7 @@
 //! anything is fitted. The loop hides what is wrong with the motor in the position; the residuals do not.
 
 use super::controller::{self, ControllerCheck, ControllerError, root_mean};
+use super::simulation::can_be_simulated;
 use crate::model::actuator::Pwm;
 use crate::model::motor::Motor;
 use crate::model::motor_plant::{History, MotorPlant, Solver};
@@ -82,6 +83,7 @@ pub struct SensorParity {
 /// A run that is no table of control ticks, or names a controller that is not valid.
 pub fn compare(run: &Run, edges_per_rev: u32, motor: &Motor, flavour: Flavour) -> Result<ClosedLoop, ControllerError> {
     let RunData::Control(rows) = &run.data else { return Err(ControllerError::NoTicks(run.id.clone())) };
+    can_be_simulated(run).map_err(|reason| ControllerError::TooLong { run: run.id.clone(), reason })?;
     let (controller, not_recomputed) = match controller::check(run) {
         Ok(check) => (Some(check), None),
         Err(reason @ (ControllerError::NoController(_) | ControllerError::FeedForward)) => {
@@ -354,7 +356,7 @@ mod tests {
     #[test]
     fn a_slower_motor_shows_in_the_plant_alone() {
         let found = taken_apart(&run(|effects| {
-            effects.high_duty_saturation = Some(crate::model::effects::HighDutySaturation { inverse_us: 1.0 });
+            effects.supply_sag = Some(crate::model::effects::SupplySag { sag: 0.3, tau_s: 5e-3 });
         }));
         assert_eq!(found.controller.as_ref().unwrap().mismatched, 0);
         assert_eq!(found.actuator.unwrap().duty_rms, 0.0);

@@ -38,6 +38,14 @@ pub enum ControllerError {
         "the controller feeds the target's rate forward, which the table does not hold: check the recording with `twum replay`"
     )]
     FeedForward,
+    /// Its times do not fit its ticks.
+    #[error("run `{run}`: {reason}")]
+    TooLong {
+        /// The run.
+        run: String,
+        /// What is wrong.
+        reason: crate::signal::SignalError,
+    },
 }
 
 /// What the check of one run found.

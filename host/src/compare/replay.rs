@@ -4,7 +4,7 @@ use crate::record::decode::{Decoder, Item, LinkStatistics};
 use crate::record::store::{Integrity, StoreError};
 use serde::Serialize;
 use std::path::Path;
-use twum_shared::message::{ControlBlock, ControlSample, DeviceMessage};
+use twum_shared::message::{ControlBlock, ControlSample, DeviceMessage, HostMessage};
 use twum_shared::step::{self, Config, Inputs, State};
 
 /// What one tick should have been and was.
@@ -55,6 +55,12 @@ pub struct ReplayReport {
     pub missing: u64,
     /// Ticks that could not be checked because no valid configuration came before them.
     pub unconfigured: u64,
+    /// Runs whose end is not in the recording: the board restarted, or the recorder was stopped.
+    pub unended: u64,
+    /// Samples of the 1 kHz capture missing between those recorded.
+    pub missing_bits: u64,
+    /// Encoder edges missing between those recorded.
+    pub missing_edges: u64,
 }
 
 impl ReplayReport {
@@ -83,12 +89,21 @@ pub struct RecordingReplay {
 pub fn replay_recording(path: impl AsRef<Path>) -> Result<RecordingReplay, StoreError> {
     let mut decoder = Decoder::open(path)?;
     let mut replay = Replay::new();
+    let mut board = 0;
     while let Some(item) = decoder.next_item()? {
-        if let Item::Device { message, .. } = item {
-            replay.observe(&message);
+        match item {
+            Item::Device { session, message, .. } => {
+                if session != board {
+                    board = session;
+                    replay.restarted();
+                }
+                replay.observe(&message);
+            }
+            Item::Host { message, .. } => replay.commanded(&message),
+            _ => {}
         }
     }
-    Ok(RecordingReplay { replay: replay.report, link: decoder.statistics(), file: decoder.integrity() })
+    Ok(RecordingReplay { replay: replay.finish(), link: decoder.statistics(), file: decoder.integrity() })
 }
 
 /// At most so many mismatches are kept.
@@ -100,7 +115,22 @@ pub struct Replay {
     config: Option<Config>,
     /// Where the block before ended: its next tick, and the state it left.
     reached: Option<(u64, State)>,
+    run: Option<Run>,
+    /// What the host asked for last: the control stream, a closed loop.
+    streams_control: bool,
+    tracks: bool,
+    next_bit: u64,
+    next_edge: u64,
     report: ReplayReport,
+}
+
+/// The run under way, as its beginning and end tell it.
+#[derive(Debug)]
+struct Run {
+    start_us: u64,
+    end_us: Option<u64>,
+    /// Whether its ticks are to be in the recording.
+    has_ticks: bool,
 }
 
 impl Replay {
@@ -113,15 +143,68 @@ impl Replay {
     pub fn observe(&mut self, message: &DeviceMessage) {
         match message {
             DeviceMessage::Configured(configuration) => self.config = Config::try_from(configuration.control).ok(),
-            DeviceMessage::RunStarted { .. } => self.reached = None,
+            DeviceMessage::RunStarted { start_us } => {
+                self.close_run();
+                let has_ticks = self.tracks && self.streams_control;
+                self.run = Some(Run { start_us: *start_us, end_us: None, has_ticks });
+            }
+            DeviceMessage::RunEnded { end_us, .. } => {
+                if let Some(run) = &mut self.run {
+                    run.end_us.get_or_insert(*end_us);
+                }
+            }
             DeviceMessage::Control(block) => self.check(block),
+            DeviceMessage::Bits(block) => {
+                self.report.missing_bits += follow(&mut self.next_bit, block.first_sample, block.samples.into());
+            }
+            DeviceMessage::Edges(block) => {
+                self.report.missing_edges += follow(&mut self.next_edge, block.first_edge, block.edges.len() as u64);
+            }
             _ => {}
         }
+    }
+
+    /// Takes a command of the host: which streams and runs it asked for.
+    pub fn commanded(&mut self, message: &HostMessage) {
+        match message {
+            // What is switched on counts from 0 again.
+            HostMessage::Capture(mode) => self.streams_control = mode.control,
+            HostMessage::Track { .. } => self.tracks = true,
+            HostMessage::Speed { .. } => self.tracks = false,
+            _ => {}
+        }
+    }
+
+    /// The board has restarted: its runs are over, its streams off, its configuration is to be told again.
+    pub fn restarted(&mut self) {
+        self.close_run();
+        (self.config, self.streams_control, self.next_bit, self.next_edge) = (None, false, 0, 0);
     }
 
     /// What was found so far.
     pub fn report(&self) -> &ReplayReport {
         &self.report
+    }
+
+    /// What was found, the end of the last run included.
+    pub fn finish(mut self) -> ReplayReport {
+        self.close_run();
+        self.report
+    }
+
+    /// A run's last ticks may be missing too: how many there were, its times tell.
+    fn close_run(&mut self) {
+        let reached = self.reached.take().map(|(tick, _)| tick);
+        let Some(run) = self.run.take() else { return };
+        let Some(end_us) = run.end_us else {
+            self.report.unended += 1;
+            return;
+        };
+        let (Some(config), true) = (self.config, run.has_ticks || reached.is_some()) else { return };
+        let ticks = end_us.saturating_sub(run.start_us) / u64::from(config.spec().period_us.max(1));
+        let missing = ticks.saturating_sub(reached.unwrap_or(0));
+        self.report.gaps += u64::from(missing > 0);
+        self.report.missing = self.report.missing.saturating_add(missing);
     }
 
     fn check(&mut self, block: &ControlBlock) {
@@ -178,10 +261,18 @@ impl Replay {
     }
 }
 
+/// How many indices of a stream are missing before `first`, and where it goes on. A stream that is switched on begins at 0.
+fn follow(next: &mut u64, first: u64, count: u64) -> u64 {
+    let missing = if first == 0 { 0 } else { first.saturating_sub(*next) };
+    *next = first.saturating_add(count);
+    missing
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use twum_shared::message::Configuration;
+    use twum_shared::message::{BitsBlock, CaptureMode, Configuration, EdgesBlock, RunEnd, TrackRun};
+    use twum_shared::reference::Reference;
     use twum_shared::step::ConfigSpec;
 
     /// A run of three blocks, as a device sends it.
@@ -253,6 +344,49 @@ mod tests {
         let report = replay(&blocks);
         assert!(report.is_exact());
         assert_eq!((report.checked, report.gaps, report.missing), (32, 1, 16));
+    }
+
+    /// The three blocks of a run of 24 ms, which some of are not in the recording.
+    fn replayed_run(kept: &[usize]) -> ReplayReport {
+        let mut replay = Replay::new();
+        replay.observe(&DeviceMessage::Configured(Configuration::with_control(ConfigSpec::THESIS)));
+        replay.commanded(&HostMessage::Capture(CaptureMode { bits: false, edges: false, control: true }));
+        let reference = Reference::Step { position: 1, at_us: 0 };
+        let run = TrackRun { reference, duration_ms: 24 };
+        replay.commanded(&HostMessage::Track { pass: Default::default(), run });
+        replay.observe(&DeviceMessage::RunStarted { start_us: 0 });
+        let blocks = blocks();
+        for index in kept {
+            replay.observe(&DeviceMessage::Control(blocks[*index].clone()));
+        }
+        replay.observe(&DeviceMessage::RunEnded { end: RunEnd::Completed, end_us: 24_000 });
+        replay.finish()
+    }
+
+    #[test]
+    fn ticks_missing_at_the_end_of_a_run_are_found_by_its_times() {
+        for (kept, gaps, missing) in
+            [(&[0, 1, 2][..], 0, 0), (&[0, 1], 1, 16), (&[0, 2], 1, 16), (&[1], 2, 32), (&[], 1, 48)]
+        {
+            let report = replayed_run(kept);
+            assert_eq!((report.gaps, report.missing, report.unended), (gaps, missing, 0), "{kept:?}");
+        }
+    }
+
+    #[test]
+    fn samples_and_edges_dropped_by_the_board_are_found_by_their_indices() {
+        let mut replay = Replay::new();
+        let bits = |first_sample, samples| {
+            DeviceMessage::Bits(BitsBlock { first_sample, first_us: 0, samples, words: Default::default() })
+        };
+        for message in [bits(0, 64), bits(64, 64), bits(192, 64), bits(0, 64), bits(64, 64)] {
+            replay.observe(&message);
+        }
+        for first_edge in [0, 3, 0] {
+            replay.observe(&DeviceMessage::Edges(EdgesBlock { first_edge, edges: Default::default() }));
+        }
+        let report = replay.finish();
+        assert_eq!((report.missing_bits, report.missing_edges), (64, 3));
     }
 
     #[test]

@@ -163,14 +163,22 @@ fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &Model) -> Resul
     })
 }
 
+/// Refuses a run that takes longer to simulate than its samples can ask for: time is bounded by their number, not by the
+/// times in them. A sample may stand for a thousand PWM periods (20 s at 50 Hz), and half an hour is simulated in any case.
+///
+/// # Errors
+/// [`SignalError::TooLong`].
+pub(super) fn can_be_simulated(run: &Run) -> Result<(), SignalError> {
+    let periods = run.span_us().1 * 1e-6 * run.pwm_hz;
+    let most = (1e5 + 1e3 * run.data.len() as f64).min(MOST_PERIODS);
+    if periods > most { Err(SignalError::TooLong { periods, most }) } else { Ok(()) }
+}
+
 /// What the run would have recorded of the simulated motor. The encoder's phase is that of an aligned motor, or the middle
 /// of a pitch where it is unknown.
 fn simulated_data(run: &Run, duty: f64, edges_per_rev: u32, (plant, effects): &Model) -> Result<RunData, SignalError> {
     let end_s = run.span_us().1 * 1e-6;
-    let periods = end_s * run.pwm_hz;
-    if periods > MOST_PERIODS {
-        return Err(SignalError::TooLong { periods, most: MOST_PERIODS });
-    }
+    can_be_simulated(run)?;
     let direction = match run.direction.unwrap_or(Direction::Cw) {
         Direction::Cw => plant::Direction::Cw,
         Direction::Ccw => plant::Direction::Ccw,

@@ -218,11 +218,11 @@ mod tests {
     fn the_answer_is_read_from_its_json() {
         let d = serde_json::json!({"verdict": "named", "effects": [
             {"name": "dead-zone", "status": "named"}, {"name": "start-delay", "status": "rejected"}],
-            "baseline": {"rmse_speed_rpm": 3.14}, "extended": {"rmse_speed_rpm": 0.2}});
+            "baseline": {"rmse_speed_rpm": 3.24}, "extended": {"rmse_speed_rpm": 0.2}});
         let found = read(&d, 1, Some("dead-zone".to_owned()), BTreeMap::new());
         assert!(
             found.right
-                && found.sentence.contains("3.14 rpm; the cause is dead-zone")
+                && found.sentence.contains("3.24 rpm; the cause is dead-zone")
                 && found.sentence.contains("0.20")
         );
         assert!(!read(&d, 1, None, BTreeMap::new()).right);

@@ -1,7 +1,7 @@
 //! The answer: what other programs read, and the page a person reads.
 
 use super::finding::{Estimate, Finding, Status, Unknown};
-use super::search::{NOWHERE, Outcome};
+use super::runs::Outcome;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -83,6 +83,9 @@ pub struct EffectAnswer {
     pub conflicts_with: Vec<String>,
     /// What would decide.
     pub next_experiment: String,
+    /// Probability that it is there, where sets of effects were weighed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub probability: Option<f64>,
     /// Share of the baseline's squared error it removes.
     pub share: f64,
     /// Remarks.
@@ -147,38 +150,13 @@ impl Diagnosis {
 
     /// Puts the answer together.
     pub fn new(outcome: &Outcome, replicated: bool, notes: Vec<String>, seed: u64) -> Self {
-        let mut findings = outcome.findings.clone();
-        // A named cause must not leave behind, unexplained, a good part of the squared error it claims to explain.
-        let strongest = outcome.unknown.iter().max_by(|a, b| a.gain.total_cmp(&b.gain));
-        let left = strongest.map_or(0.0, |u| u.gain);
-        let [before, after] = [0, 1].map(|k| outcome.held_out.rmse(k).powi(2));
-        let missed = after * (1.0 - (1.0 - left).powi(2)) / (before - after).max(1e-12);
-        let something = findings.iter().any(|f| f.status != Status::Rejected);
-        let lack = if something { missed >= super::search::LACK_OF_FIT } else { left >= super::search::LEAST_GAIN };
-        if lack {
-            // What was found in the controller or in the record itself does not hang on the plant's fit.
-            let plant = |f: &&mut Finding| {
-                f.status != Status::Rejected
-                    && !matches!(f.name.as_str(), "loop-delay" | "controller-mismatch" | "dropped-samples")
-            };
-            for f in findings.iter_mut().filter(plant) {
-                f.status = Status::Rejected;
-                f.note = format!(
-                    "explains part of it, but {} beside it: not the cause",
-                    match strongest {
-                        Some(u) if u.lives_in != NOWHERE =>
-                            format!("a term without physics ({}) still finds {:.0} %", u.lives_in, 100.0 * left),
-                        _ => format!("{:.1} times the error that the sampling leaves stays", times(left)),
-                    }
-                );
-            }
-        }
+        let findings = &outcome.findings;
         let any = |s: Status| findings.iter().any(|f| f.status == s);
         let verdict = if any(Status::Named) {
             Verdict::Named
         } else if any(Status::Ambiguous) {
             Verdict::Ambiguous
-        } else if lack {
+        } else if !outcome.unknown.is_empty() {
             Verdict::Unknown
         } else {
             Verdict::None
@@ -238,23 +216,6 @@ impl Diagnosis {
         )
     }
 
-    /// The answer for one run.
-    pub fn of_single(outcome: &super::single::SingleOutcome, notes: Vec<String>, seed: u64) -> Self {
-        let mut d = Self::of_parts(
-            &outcome.findings,
-            &outcome.unknown,
-            &outcome.held_out,
-            outcome.noise_floor,
-            false,
-            notes,
-            seed,
-        );
-        d.baseline.scores.rmse_position_deg = Some(outcome.position_deg[0]);
-        d.extended.rmse_position_deg = Some(outcome.position_deg[1]);
-        d.not_judged = outcome.not_judged.iter().cloned().collect();
-        d
-    }
-
     fn of_parts(
         findings: &[Finding],
         unknown: &[Unknown],
@@ -270,7 +231,7 @@ impl Diagnosis {
             Verdict::Named
         } else if any(Status::Ambiguous) {
             Verdict::Ambiguous
-        } else if left >= super::search::LEAST_GAIN {
+        } else if left >= super::verdict::LEAST_GAIN {
             Verdict::Unknown
         } else {
             Verdict::None
@@ -336,6 +297,7 @@ pub(super) fn effect_answer(f: &Finding) -> EffectAnswer {
             .collect(),
         conflicts_with: f.conflicts.clone(),
         next_experiment: f.next_experiment.clone(),
+        probability: f.probability,
         share: f.share,
         note: f.note.clone(),
     }
@@ -367,7 +329,7 @@ pub fn text(d: &Diagnosis) -> String {
     }
     for e in &suspects {
         line(String::new());
-        let (sentence, equation) = super::effects::says(&e.name).unwrap_or(("", ""));
+        let (sentence, equation) = super::library::says(&e.name).unwrap_or(("", ""));
         line(format!(
             "{}   {} — {sentence}.",
             if e.status == "named" { "Cause        " } else { "Possible cause" },
@@ -412,11 +374,6 @@ pub fn text(d: &Diagnosis) -> String {
         ));
     }
     for u in &d.unknown {
-        if u.lives_in == NOWHERE {
-            let times = times(u.gain_heldout);
-            line(format!("Left over       {times:.1} times the error that the sampling leaves, in no one place."));
-            continue;
-        }
         line(format!(
             "Left over       a term without physics over {} would still gain {:.1} % (p = {:.3}).",
             u.lives_in,
@@ -439,11 +396,6 @@ pub fn text(d: &Diagnosis) -> String {
         line(format!("Note: {note}"));
     }
     out
-}
-
-/// How many times as large an error is as one that is smaller by `gain`.
-fn times(gain: f64) -> f64 {
-    1.0 / (1.0 - gain).max(1e-3)
 }
 
 fn unit(u: &str) -> &str {

@@ -1,87 +1,142 @@
-//! The baseline: the motor's own parameters, what is believed of them, and their refit.
+//! The motor's own parameters: free in every model, refitted from several starts.
 
-use super::fit::{Free, objective, penalty, refit};
-use super::problem::{Model, Problem, RPM};
+use super::library::LogNormal;
+use super::prior::Prior;
+use super::problem::{Model, Problem};
+use super::refit::{Free, Noise, objective, refit};
 use super::rotor::{P, Parameters};
 
-/// How well a motor file is believed to know its friction: standard deviation of the logarithm of both rates. Friction of one motor
-/// varies by a third from day to day, between motors by more; without any belief the rates run away to swallow what a dead zone
-/// or a delay does to each pulse.
-pub const RATE_LOG_SD: f64 = 0.3;
-
-/// How much better a rotor that coasts must fit before it is believed of a motor whose friction is said to clamp it.
-const COASTING_GAIN: f64 = 0.2;
-
+/// The motor file is right: friction is measured to a third, and varies so much from day to day.
+pub const SAME_MOTOR_LOG_SD: f64 = 0.3;
+/// Or these runs are of another motor of the kind, whose friction is a tenth of the file's, or ten times it, at 1.5 deviations.
+const OTHER_MOTOR: LogNormal = LogNormal { median: 1.0, log_sd: 1.5 };
+/// Without a wave, another motor may be clamped like the file's, coast, or anything between: five decades at two deviations.
+const OTHER_BRAKE: LogNormal = LogNormal { median: 0.1, log_sd: 2.5 };
+/// Neither is likelier before the data.
+const SAME_MOTOR: f64 = 0.5;
+/// Damping and the softness of the contact hardly show in open loop.
+const HARDLY_SEEN: LogNormal = LogNormal { median: 1.0, log_sd: 0.7 };
+/// Delay of a record behind the drive: a sample or two of a millisecond.
+const LATENCY_S: f64 = 2e-3;
 /// Where the fit of the dying wave's braking starts: twice the build-up time of the 30 mm motor's stator (2·Ms/Cs; thesis,
 /// A.4), in s.
 const RING_DOWN_S: f64 = 4.6e-4;
 
-/// The baseline's own parameters at `p`; `home` are the motor file's.
-pub fn baseline_free(p: &Parameters, home: &Parameters, coasting: bool) -> Vec<Free> {
-    let w = p.get(P::FreeSpeed);
-    let a = p.get(P::OnAcceleration);
-    let coasts = p.get(P::RingDown) > 0.0;
-    let free = |parameter: P, scale: f64, bounds: (f64, f64)| Free { parameter, scale, bounds, prior: None };
-    // A rotor that coasts is not the file's motor.
-    let rate = |parameter: P, scale: f64, lowest: f64| {
-        let listed = home.get(parameter);
-        if coasts || listed <= 0.0 {
-            return free(parameter, scale, (lowest, 20.0 * a));
+/// The motor's own parameters that are fitted; `home` are the motor file's.
+pub fn baseline_free(model: &Parameters, home: &Parameters) -> Vec<Free> {
+    let speed = model.get(P::FreeSpeed);
+    let rate = |parameter: P, other: LogNormal| {
+        let listed = if home.get(parameter) > 0.0 { home.get(parameter) } else { home.get(P::OnAcceleration) };
+        Free {
+            parameter,
+            scale: model.get(parameter).max(1e-4 * listed),
+            bounds: (1e-5 * listed, 50.0 * listed),
+            prior: Prior::Either {
+                medians: [listed, other.median * listed],
+                log_sds: [SAME_MOTOR_LOG_SD, other.log_sd],
+                first: SAME_MOTOR,
+            },
         }
-        Free { prior: Some((listed, RATE_LOG_SD)), ..free(parameter, scale, (0.02 * listed, 20.0 * listed)) }
     };
-    // Damping hardly shows in open loop: it is left where the file has it, give or take a factor of two.
-    let listed = home.get(P::Viscous);
-    let viscous =
-        Free { prior: (listed > 0.0).then_some((listed, 0.7)), ..free(P::Viscous, 1.0, (0.02 * listed, 50.0)) };
+    let near = |parameter: P, listed: f64, log_sd: f64| Free {
+        parameter,
+        scale: model.get(parameter).max(0.05 * listed),
+        bounds: (0.02 * listed, 50.0 * listed),
+        prior: Prior::log_normal(listed, log_sd),
+    };
     let mut all = vec![
-        free(P::FreeSpeed, w, (0.02 * w, 50.0 * w)),
-        rate(P::OnAcceleration, a, 0.02 * a),
-        viscous,
-        free(P::Latency, 2e-3, (-5e-3, 1e-2)),
+        Free { parameter: P::FreeSpeed, scale: speed, bounds: (0.02 * speed, 50.0 * speed), prior: Prior::Flat },
+        rate(P::OnAcceleration, OTHER_MOTOR),
+        rate(P::OffDeceleration, OTHER_BRAKE),
+        near(P::Viscous, home.get(P::Viscous).max(0.05), HARDLY_SEEN.log_sd),
+        near(P::SlipBand, home.get(P::SlipBand).max(1e-3), HARDLY_SEEN.log_sd),
+        Free {
+            parameter: P::Latency,
+            scale: LATENCY_S,
+            bounds: (-5.0 * LATENCY_S, 5.0 * LATENCY_S),
+            prior: Prior::Normal { centre: 0.0, sd: LATENCY_S },
+        },
     ];
-    if !coasting {
-        all.insert(2, rate(P::OffDeceleration, a.max(p.get(P::OffDeceleration)), 0.0));
+    if home.get(P::WaveTime) > 0.0 {
+        all.push(near(P::WaveTime, home.get(P::WaveTime), HARDLY_SEEN.log_sd));
     }
-    if coasts {
-        all.push(free(P::RingDown, 5e-4, (1e-6, 5e-3)));
+    if model.get(P::RingDown) > 0.0 {
+        all.push(near(P::RingDown, RING_DOWN_S, HARDLY_SEEN.log_sd));
     }
     all
 }
 
-/// The baseline's own parameters, refitted from several starts: a rotor that is clamped, one that coasts and one that starts
-/// slowly lie in valleys of their own.
-pub fn refit_baseline(problem: &Problem, start: &Parameters, coasting: bool) -> Model {
-    let mut starts = vec![start.clone(), start.with(P::OnAcceleration, 0.3 * start.get(P::OnAcceleration))];
-    if !coasting {
-        starts.push(start.with(P::OffDeceleration, 0.1 * start.get(P::OffDeceleration)));
+/// Noise of a first look: nothing is known yet but the size of the residuals.
+pub fn first_noise(problem: &Problem, model: &Model, independent: f64) -> Noise {
+    let square = objective(problem, model, Noise { variance: 1.0, gain_spread: 0.0 });
+    Noise { variance: (square / independent).max(1e-9), gain_spread: GAIN_SPREAD }
+}
+
+/// Spread of the gains of runs before anything is known of it: about a per cent, and what effects over the runs do besides.
+const GAIN_SPREAD: f64 = 0.015;
+
+/// Times in s in which a rotor of the kind starts, and in which it stops without a wave: a clamped one as fast as it starts, one that
+/// coasts within seconds.
+const STARTS_S: [f64; 3] = [2e-4, 1e-3, 5e-3];
+const STOPS_S: [f64; 5] = [2e-4, 1e-3, 5e-3, 5e-2, 1.0];
+/// Starts that are refitted for a few steps, and of these to the end.
+const LOOKED_AT: usize = 6;
+const FINISHED: usize = 2;
+
+/// The baseline's own parameters, refitted from several starts: a rotor that is clamped, one that coasts, one that starts slowly
+/// and one that brakes in between lie in valleys of their own.
+pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) -> Model {
+    let speed = home.get(P::FreeSpeed);
+    let mut starts = vec![home.clone()];
+    for on_s in STARTS_S {
+        for off_s in STOPS_S {
+            let rotor = home.with(P::OnAcceleration, speed / on_s).with(P::OffDeceleration, speed / off_s);
+            // A contact that lets go at once, and one that the dying wave still brakes.
+            starts.push(rotor.clone());
+            if off_s >= 5e-3 {
+                starts.push(rotor.with(P::RingDown, RING_DOWN_S));
+            }
+        }
     }
-    let coasting_start = start.with(P::OffDeceleration, 0.0).with(P::RingDown, RING_DOWN_S);
-    starts.push(coasting_start.clone());
-    // A rotor that coasts is faster at part duty than the duty says: the start's free speed is read off the duty.
-    let fastest = problem.runs.iter().map(|r| r.mean_speed_rpm().abs() / RPM).fold(0.0, f64::max);
-    if fastest > 0.0 && fastest < 0.8 * start.get(P::FreeSpeed) {
-        starts.push(coasting_start.with(P::FreeSpeed, fastest));
-    }
-    let fitted = |from: &Parameters, iterations: usize| {
-        let free = baseline_free(from, start, coasting);
-        let model = refit(problem, problem.model(from.clone()), &free, &[], iterations).0;
-        let misfit = objective(problem, &model, 1.0, 0.0);
-        let value = misfit + penalty(&free, &model, misfit / problem.runs.len() as f64);
-        let doubt = if !coasting && coasts(&model) { 1.0 / (1.0 - COASTING_GAIN) } else { 1.0 };
-        (doubt * value, model)
+    let value = |model: &Model, noise: Noise| {
+        let free = baseline_free(&model.parameters, home);
+        let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
+        objective(problem, model, noise) - 2.0 * noise.variance * prior
     };
-    let best = starts.iter().map(|s| fitted(s, 4)).min_by(|a, b| a.0.total_cmp(&b.0));
-    let near = best.map_or_else(|| start.clone(), |b| b.1.parameters);
-    fitted(&near, 12).1
+    let sorted = |mut models: Vec<Model>| -> (Vec<Model>, Noise) {
+        let noise = models
+            .iter()
+            .map(|m| first_noise(problem, m, independent))
+            .min_by(|a, b| a.variance.total_cmp(&b.variance))
+            .unwrap_or(Noise { variance: 1.0, gain_spread: GAIN_SPREAD });
+        models.sort_by(|a, b| value(a, noise).total_cmp(&value(b, noise)));
+        (models, noise)
+    };
+    let (looked, noise) = sorted(starts.into_iter().map(|s| at_speed(problem, problem.model(s))).collect());
+    let refitted = |models: Vec<Model>, noise: Noise, count: usize, steps: usize| -> Vec<Model> {
+        let fit = |m: Model| {
+            let free = baseline_free(&m.parameters, home);
+            refit(problem, m, &free, &[], noise, steps)
+        };
+        models.into_iter().take(count).map(fit).collect()
+    };
+    let (near, noise) = sorted(refitted(looked, noise, LOOKED_AT, 4));
+    let (best, _) = sorted(refitted(near, noise, FINISHED, 12));
+    best.into_iter().next().unwrap_or_else(|| problem.model(home.clone()))
 }
 
-/// Whether the fitted rotor runs on with the drive off.
-pub fn coasts(model: &Model) -> bool {
-    model.parameters.get(P::RingDown) > 0.0 || model.parameters.get(P::OffDeceleration) <= 0.0
-}
-
-/// The same rotor with both friction rates multiplied.
-pub fn rated(p: &Parameters, factor: f64) -> Parameters {
-    [P::OnAcceleration, P::OffDeceleration].into_iter().fold(p.clone(), |q, rate| q.with(rate, factor * p.get(rate)))
+/// The model with the free speed that the runs have on average.
+fn at_speed(problem: &Problem, mut model: Model) -> Model {
+    for _ in 0..2 {
+        let (mut gg, mut gy) = (0.0, 0.0);
+        for (run, r) in problem.runs.iter().zip(problem.residuals(&model)) {
+            for (k, w) in run.windows.iter().enumerate() {
+                gg += r.predicted[k] * r.predicted[k] * run.duration(w);
+                gy += r.predicted[k] * r.rpm[k] * run.duration(w);
+            }
+        }
+        let factor = (1.0 + gy / f64::max(gg, 1e-12)).clamp(0.2, 5.0);
+        model.parameters.set(P::FreeSpeed, factor * model.parameters.get(P::FreeSpeed));
+    }
+    model
 }

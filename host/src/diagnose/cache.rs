@@ -4,6 +4,7 @@
 //! and the program itself. Whatever cannot be read or written is worked out again.
 
 use super::Options;
+use crate::output::{self, Existing};
 use crate::record::measurement::Measurement;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
@@ -58,9 +59,7 @@ impl Place {
         if let Some(folder) = self.0.parent() {
             std::fs::create_dir_all(folder)?;
         }
-        let half = self.0.with_extension(format!("{}.part", std::process::id()));
-        std::fs::write(&half, serde_json::to_vec(kept)?)?;
-        std::fs::rename(&half, &self.0)
+        output::write(&self.0, serde_json::to_vec(kept)?, Existing::Replace).map_err(std::io::Error::other)
     }
 }
 

@@ -3,8 +3,8 @@
 
 use super::finding::{Estimate, Finding, Status};
 use super::problem::RunDesign;
-use super::search::{LARGEST_P, LEAST_GAIN};
 use super::stats::{Fold, Grams, Group, p_value};
+use super::verdict::{LARGEST_P, LEAST_GAIN};
 use crate::record::measurement::{ControlRow, Run, RunData};
 use twum_shared::step::{Config, ConfigSpec, Inputs, State, step};
 
@@ -144,7 +144,7 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     if groups.is_empty() {
         return out;
     }
-    let (improvements, null) = grams.screen(&[0], &groups, repetitions, seed);
+    let (improvements, null) = grams.screen(&[0], &groups, &[], repetitions, seed);
     let best_of = |name: &str| {
         (0..keep.len())
             .filter(|k| names[keep[*k]].0 == name)
@@ -193,6 +193,7 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
             } else {
                 Status::Named
             },
+            probability: None,
             gain,
             gain_interval: interval,
             p_null: p,

@@ -31,7 +31,9 @@ pub struct Finding {
     pub name: String,
     /// Verdict on it.
     pub status: Status,
-    /// Held-out gain when it was added.
+    /// Probability that it is there, where sets of effects were weighed.
+    pub probability: Option<f64>,
+    /// Held-out gain: with it against without it, beside all else that was found.
     pub gain: f64,
     /// Its 95 % interval.
     pub gain_interval: [f64; 2],
@@ -56,6 +58,8 @@ pub struct Unknown {
     pub lives_in: &'static str,
     /// Held-out gain on top of the extended model.
     pub gain: f64,
+    /// Share of all squared error that was removed that it removes.
+    pub share: f64,
     /// Its p-value.
     pub p_null: f64,
 }

@@ -7,8 +7,8 @@
 use super::finding::{Estimate, Finding, Status};
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM};
-use super::search::{LARGEST_P, LEAST_GAIN};
 use super::stats::HeldOut;
+use super::verdict::{LARGEST_P, LEAST_GAIN};
 use crate::record::measurement::RunKind;
 
 /// Samples in a word of the thesis's capture.
@@ -101,6 +101,7 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
         finding: Finding {
             name: "dropped-samples".to_owned(),
             status: Status::Named,
+            probability: None,
             gain,
             gain_interval: held.gain_interval(seed),
             p_null,

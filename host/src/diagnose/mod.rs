@@ -7,32 +7,35 @@
 pub mod answer;
 pub mod baseline;
 pub mod cache;
-pub mod case;
 pub mod controller;
-pub mod effects;
-pub mod estimate;
+pub mod discrepancy;
+pub mod evidence;
 pub mod finding;
-pub mod fit;
 pub mod gaps;
+pub mod held_out;
 pub mod inertial;
+pub mod level;
+pub mod library;
 pub mod motor;
+pub mod numbers;
 pub mod observe;
 pub mod plan;
+pub mod prior;
 pub mod problem;
+pub mod refit;
 pub mod report;
 pub mod rotor;
-pub mod score;
+pub mod runs;
 pub mod search;
-pub mod single;
 pub mod stats;
-pub mod trial;
+pub mod verdict;
 
 use crate::record::measurement::{Format, Measurement, Run, RunData, RunKind};
 use answer::Diagnosis;
 use observe::{Observed, observe};
 use problem::Problem;
 use rotor::{P, Parameters};
-use search::{Outcome, Settings, search};
+use runs::{Outcome, Settings, diagnose_runs};
 
 /// Why nothing could be diagnosed.
 #[derive(Debug, thiserror::Error)]
@@ -76,8 +79,6 @@ pub enum Details {
         /// What the search found.
         outcome: Box<Outcome>,
     },
-    /// One run of a TWUM.
-    Single(Box<single::SingleOutcome>),
     /// Runs of an ordinary motor.
     Inertial(inertial::InertialOutcome),
 }
@@ -173,19 +174,10 @@ pub fn diagnose(
     }
     let start = starting_rotor(&runs, options);
     if runs.len() == 1 {
-        let outcome = single::search(
-            runs.remove(0),
-            start,
-            if options.quick { 150 } else { 400 },
-            options.seed,
-            &options.without,
-        );
         notes.push("one run only: later turns are held out instead of whole runs; replication is missing, and nothing can be said about run-to-run spread".to_owned());
-        let diagnosis = Diagnosis::of_single(&outcome, notes, options.seed);
-        return Ok((diagnosis, Some(Details::Single(Box::new(outcome)))));
     }
     let replicated = runs.len() >= 4;
-    if !replicated {
+    if !replicated && runs.len() > 1 {
         notes.push("fewer than four runs: no replication, nothing can be said about run-to-run spread".to_owned());
     }
     let problem = Problem::new(runs);
@@ -194,20 +186,11 @@ pub fn diagnose(
     }
     let settings = Settings {
         seed: options.seed,
-        repetitions: if options.quick { 150 } else { 400 },
+        repetitions: if options.quick { 150 } else { 200 },
         without: options.without.clone(),
-        coasting: options.coasting,
-        ..Settings::default()
     };
-    let mut outcome = search(&problem, &start, &settings, progress);
+    let mut outcome = diagnose_runs(&problem, &start, &settings, progress);
     notes.extend(doubted_rates(&start, &outcome.extended.parameters));
-    notes.extend(outcome.better_friction.map(|(factor, error)| {
-        format!(
-            "with {factor} times the motor file's friction the simulation would miss by {:.0} % of that: these runs may be of another motor \
-             than the file (--motor, --flavour), or its friction is to be measured first (twum identify friction)",
-            100.0 * error
-        )
-    }));
     let tracks: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).filter(|r| r.kind == RunKind::Track).collect();
     if !tracks.is_empty() {
         let parity = controller::parity(&tracks, settings.repetitions, options.seed, &options.without);
@@ -245,7 +228,7 @@ fn doubted_rates(listed: &Parameters, fitted: &Parameters) -> Option<String> {
     let rates = [(P::OnAcceleration, "under drive"), (P::OffDeceleration, "without drive")];
     let (rate, when) = rates.into_iter().find(|(rate, _)| {
         let ratio = fitted.get(*rate) / listed.get(*rate);
-        ratio > 0.0 && ratio.is_finite() && ratio.ln().abs() > 2.0 * baseline::RATE_LOG_SD
+        ratio > 0.0 && ratio.is_finite() && ratio.ln().abs() > 2.0 * baseline::SAME_MOTOR_LOG_SD
     })?;
     Some(format!(
         "these runs do not bear out the motor file's friction {when}: {:.0} rad/s^2 over the inertia there, {:.0} here. The answer is drawn \

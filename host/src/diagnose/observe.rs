@@ -99,21 +99,22 @@ impl Observed {
         }
     }
 
-    /// Compares over stretches of several edges where single intervals are short against the sampling.
+    /// Compares over stretches of several edges where single intervals are short against the sampling, or against the PWM period.
     ///
     /// The times at both ends of an interval are uncertain, and so is its length, by which its residual is weighted: that bends a fit by
     /// the square of (uncertainty / length), 1 % for 4 ms at 1 ms sampling. Stretches of an odd number of edges keep the slots of
-    /// the wheel apart; they overlap, so that every edge is an end.
+    /// the wheel apart. Of sampled edges they overlap, so that every edge is an end; exact ones need not.
     pub fn widen(&mut self) {
-        if self.kind != RunKind::Speed {
+        if self.kind != RunKind::Speed || self.pitch == 0.0 {
             return;
         }
         let exact: Vec<Window> = self.windows.iter().copied().filter(|w| w.low == w.high).collect();
         let (Some(first), Some(last)) = (exact.first(), exact.last()) else { return };
         let mean = (self.times[last.to] - self.times[first.from]) / exact.len() as f64;
-        let wanted = WIDE * self.half_sample_s() / mean.max(1e-9);
+        let sampled = self.half_sample_s() > 0.0;
+        let wanted_s = if sampled { WIDE * self.half_sample_s() } else { 1.0 / (PIECES_A_PERIOD * self.pwm_hz) };
         let mut count = 1;
-        while (count as f64) < wanted && count + 2 < exact.len() / 4 {
+        while (count as f64) * mean < wanted_s && count + 2 < exact.len() / 4 {
             count += 2;
         }
         if count == 1 {
@@ -124,7 +125,8 @@ impl Observed {
             let advance = self.angles[to] - self.angles[from];
             Window { from, to, low: advance, high: advance }
         };
-        let wide = (0..=exact.len() - count).map(stretch);
+        let step = if sampled { 1 } else { count };
+        let wide = (0..=exact.len() - count).step_by(step).map(stretch);
         let ends = |after: bool| self.windows.iter().copied().filter(move |w| w.low != w.high && (w.from > 0) == after);
         self.windows = ends(false).chain(wide).chain(ends(true)).collect();
     }
@@ -133,14 +135,6 @@ impl Observed {
     pub fn half_sample_s(&self) -> f64 {
         let half = self.time_spread * 3f64.sqrt();
         if half > 5e-5 { half } else { 0.0 }
-    }
-
-    /// Measured angle at a time in s, linear between edges, in rad.
-    pub fn angle_at(&self, t: f64) -> f64 {
-        let after = self.times.partition_point(|k| *k <= t).clamp(1, self.times.len() - 1);
-        let (from, to) = (self.times[after - 1], self.times[after]);
-        let share = ((t - from) / (to - from).max(1e-9)).clamp(0.0, 1.0);
-        self.angles[after - 1] + share * (self.angles[after] - self.angles[after - 1])
     }
 
     /// Revolutions made during the run.
@@ -170,6 +164,8 @@ const SHORTEST_S: f64 = 5e-3;
 
 /// Least mean length of what is compared, in half sampling periods.
 const WIDE: f64 = 24.0;
+/// Pieces of a PWM period in which exactly timed edges are compared: enough to see what happens within one.
+const PIECES_A_PERIOD: f64 = 8.0;
 
 /// Why a run cannot be used.
 pub type Refusal = String;

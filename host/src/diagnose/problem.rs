@@ -3,8 +3,6 @@
 use super::observe::Observed;
 use super::rotor::{P, Parameters, RunInput, RunTerms, simulate, warm_up};
 use crate::record::measurement::RunKind;
-use rand::{Rng, RngExt};
-use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -53,6 +51,8 @@ pub enum Column {
     Eccentricity(usize),
     /// A coefficient of [`RunTerms::gravity`].
     Gravity(usize),
+    /// A phased coefficient with parameters first set as listed (shape of the effect).
+    Shaped(Box<Column>, Vec<(P, f64)>),
     /// Relative speed error times a basis function of the window, for terms that stand for no physics.
     Flexible(Basis),
 }
@@ -123,62 +123,18 @@ impl Problem {
         self
     }
 
-    /// The same experiment as `model` would have made it: sampled at the same times, each run with its own speed (relative spread
-    /// `gain_spread`) and its own place on the wheel. `None` unless every run was sampled.
-    pub fn remade(&self, model: &Model, gain_spread: f64, rng: &mut impl Rng) -> Option<Self> {
-        let sampled = |r: &Observed| r.kind == RunKind::Speed && r.pitch > 0.0 && r.half_sample_s() > 0.0;
-        if !self.runs.iter().all(sampled) {
-            return None;
-        }
-        let warmth = self.warmth(&model.parameters);
-        let drawn: Vec<(f64, f64)> = self
-            .runs
-            .iter()
-            .map(|_| (1.0 + gain_spread * rng.sample::<f64, _>(StandardNormal), rng.random::<f64>()))
-            .collect();
-        let runs = (0..self.runs.len())
-            .into_par_iter()
-            .map(|i| self.run_remade(i, model, warmth[i], drawn[i].0, drawn[i].1))
-            .collect();
-        Some(Self { runs, ..self.clone() }.widened())
-    }
-
-    fn run_remade(&self, i: usize, model: &Model, warmth: f64, gain: f64, place: f64) -> Observed {
-        let run = &self.runs[i];
-        let terms = &model.terms[i];
-        let (start, period) = (run.times[0], 2.0 * run.half_sample_s());
-        let times: Vec<f64> =
-            (0..((run.record_end - start) / period) as usize + 1).map(|k| start + k as f64 * period).collect();
-        let parameters = model.parameters.with(P::FreeSpeed, gain * model.parameters.get(P::FreeSpeed));
-        // What hangs on the angle reads the encoder: first the one that was measured, then the one that is made.
-        let mut read: Vec<f64> = times.iter().map(|t| run.angle_at(*t)).collect();
-        for _ in 0..if *terms == RunTerms::default() { 1 } else { 3 } {
-            let input = RunInput { times: &times, half_sample_s: 0.0, angles: &read, ..self.input(i, warmth) };
-            let mut angle = Vec::with_capacity(times.len());
-            simulate(&input, &parameters, terms, &mut angle, &mut Vec::new());
-            read =
-                angle.iter().zip(&read).map(|(a, r)| a + terms.encoder_error(*r) - terms.encoder_error(0.0)).collect();
-        }
-        let high = 0.5 * (1.0 + parameters.get(P::EdgeOffset));
-        let level = |k: usize| (read[k] / (2.0 * run.pitch) + place).rem_euclid(1.0) < high;
-        let edges: Vec<(f64, bool)> = (1..times.len())
-            .filter(|k| level(*k) != level(k - 1))
-            .map(|k| (times[k] - 0.5 * period, level(k)))
-            .collect();
-        let mut made = run.clone();
-        made.put_edges(&edges, level(0), start, run.record_end);
-        made
-    }
-
     /// Whether the order of the runs is known.
     pub fn ordered(&self) -> bool {
         self.sequence.is_some()
     }
 
-    /// Root mean square of the runs' mean speeds in rpm.
-    pub fn rms_speed_rpm(&self) -> f64 {
-        let square = |r: &Observed| r.mean_speed_rpm().powi(2);
-        (self.runs.iter().map(square).sum::<f64>() / self.runs.len().max(1) as f64).sqrt()
+    /// Place of each run in the order of making; all 0 where that is unknown.
+    pub fn ranks(&self) -> Vec<f64> {
+        let mut rank = vec![0.0; self.runs.len()];
+        for (k, i) in self.sequence.iter().flatten().enumerate() {
+            rank[*i] = k as f64;
+        }
+        rank
     }
 
     /// How many duties the open-loop runs have.
@@ -255,7 +211,7 @@ impl Problem {
         let mut out = RunResidual::default();
         simulate(&input, p, terms, &mut angle, &mut out.speed);
         let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
-        let sensor = terms.eccentricity != [0.0; 2];
+        let sensor = terms.eccentricity.iter().any(|c| *c != 0.0);
         out.rpm.reserve(run.windows.len());
         out.predicted.reserve(run.windows.len());
         let track = run.kind == RunKind::Track;
@@ -272,8 +228,9 @@ impl Problem {
                     advance += terms.encoder_error(run.angles[w.to]) - terms.encoder_error(run.angles[w.from]);
                 }
                 if track && (backlash != 0.0 || miscount != 0.0 || drift != 0.0) {
-                    let inside = |t: f64| t > run.times[w.from] && t <= run.times[w.to];
-                    for (_, sign) in run.reversals.iter().filter(|(t, _)| inside(*t)) {
+                    // Thousands in a loop that chatters: they are sorted by time.
+                    let until = |t: f64| run.reversals.partition_point(|r| r.0 <= t);
+                    for (_, sign) in &run.reversals[until(run.times[w.from])..until(run.times[w.to])] {
                         advance += (sign * miscount + drift) * run.pitch - sign * backlash;
                     }
                 }
@@ -284,6 +241,34 @@ impl Problem {
             out.predicted.push(advance / dt * RPM);
         }
         out
+    }
+
+    /// Residuals of a run with one phased coefficient larger by a step, and the step.
+    fn phased_step(
+        &self,
+        i: usize,
+        column: &Column,
+        p: &Parameters,
+        terms: &RunTerms,
+        warmth: f64,
+    ) -> (RunResidual, f64) {
+        let mut terms = *terms;
+        let step = match column {
+            Column::Runout(h) => {
+                terms.runout[*h] += 0.01;
+                0.01
+            }
+            Column::Eccentricity(h) => {
+                terms.eccentricity[*h] += 1e-3;
+                1e-3
+            }
+            Column::Gravity(h) => {
+                terms.gravity[*h] += 10.0;
+                10.0
+            }
+            _ => 1.0,
+        };
+        (self.run_residual(i, p, &terms, warmth), step)
     }
 
     /// Predicted-speed derivatives of one run for each column, weighted like the residuals: rows are windows.
@@ -359,24 +344,14 @@ impl Problem {
                                 (now.rpm[k] - moved.rpm[k]) / step * 1e-2 * hat(*j, *n, t / longest)
                             });
                         }
-                        Column::Runout(h) | Column::Eccentricity(h) | Column::Gravity(h) => {
-                            let mut terms = model.terms[i];
-                            let step = match column {
-                                Column::Runout(_) => {
-                                    terms.runout[*h] += 0.01;
-                                    0.01
-                                }
-                                Column::Eccentricity(_) => {
-                                    terms.eccentricity[*h] += 1e-3;
-                                    1e-3
-                                }
-                                _ => {
-                                    terms.gravity[*h] += 10.0;
-                                    10.0
-                                }
-                            };
-                            let moved = self.run_residual(i, p, &terms, warmth[i]);
-                            put(&|k| (now.rpm[k] - moved.rpm[k]) / step);
+                        Column::Runout(_) | Column::Eccentricity(_) | Column::Gravity(_) => {
+                            let moved = self.phased_step(i, column, p, &model.terms[i], warmth[i]);
+                            put(&|k| (now.rpm[k] - moved.0.rpm[k]) / moved.1);
+                        }
+                        Column::Shaped(phased, shape) => {
+                            let shaped = shape.iter().fold(p.clone(), |q, (which, value)| q.with(*which, *value));
+                            let moved = self.phased_step(i, phased, &shaped, &model.terms[i], warmth[i]);
+                            put(&|k| (now.rpm[k] - moved.0.rpm[k]) / moved.1);
                         }
                         Column::Flexible(basis) => {
                             let value = |k: usize| {

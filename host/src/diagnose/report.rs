@@ -4,8 +4,7 @@ use super::Details;
 use super::answer::{Diagnosis, text};
 use super::inertial::InertialOutcome;
 use super::problem::Problem;
-use super::search::Outcome;
-use super::single::SingleOutcome;
+use super::runs::Outcome;
 use crate::report::figure::{Figure, FigureError, Panel};
 use crate::report::html::Page;
 use std::f64::consts::TAU;
@@ -25,10 +24,6 @@ pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Result<Pag
                 &residual_figure(problem, outcome),
                 "Measured minus simulated speed, averaged in bins: the refitted simulation before, the extended model after. \
                  What is flat at zero is explained.",
-            )?,
-            Details::Single(single) => page.figure(
-                &single_figure(single),
-                "The run, the refitted simulation and the extended model; fitted on the first turn, scored from the mark on.",
             )?,
             Details::Inertial(o) => page.figure(&inertial_figure(o), "Speed over input, and what the models miss.")?,
         };
@@ -132,36 +127,6 @@ pub fn residual_figure(problem: &Problem, outcome: &Outcome) -> Figure {
         .panel(panel("direction (1 = cw)", 3, 2))
         .panel(panel("order of the run", 4, (n as usize).clamp(2, 60)))
         .panel(Panel::new("time in the run (s)", "residual (rpm)").points("before", &first).points("after", &last))
-}
-
-/// One run, measured and modelled.
-pub fn single_figure(o: &SingleOutcome) -> Figure {
-    let column = |k: usize| o.curve.iter().map(|c| (c[0], c[k])).collect::<Vec<_>>();
-    let rest = |k: usize| o.curve.iter().filter(|c| c[0] > 0.02).map(|c| (c[0], c[1] - c[k])).collect::<Vec<_>>();
-    let by_angle = |k: usize| {
-        o.run
-            .windows
-            .iter()
-            .zip(&o.curve)
-            .filter(|(_, c)| c[0] > 0.02)
-            .map(|(w, c)| ((o.run.angles[w.from].rem_euclid(TAU)) * 360.0 / TAU, c[1] - c[k]))
-            .collect::<Vec<_>>()
-    };
-    Figure::new("One run: measured, refitted simulation, extended model")
-        .size(1000, 1000)
-        .panel(
-            Panel::new("time (s)", "speed (rpm)")
-                .line("measured", &column(1))
-                .dashed("refitted simulation", &column(2))
-                .line("extended", &column(3))
-                .marks("scored from here", &[o.scored_from_s]),
-        )
-        .panel(Panel::new("time (s)", "residual (rpm)").dashed("before", &rest(2)).line("after", &rest(3)))
-        .panel(
-            Panel::new("angle since the start (degrees)", "residual (rpm)")
-                .points("before", &by_angle(2))
-                .points("after", &by_angle(3)),
-        )
 }
 
 /// Speed over input of ordinary motors.

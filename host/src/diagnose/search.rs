@@ -1,686 +1,617 @@
-//! The procedure: refit, search, test, compare, remove, say what is left.
+//! The search over sets of effects: best first, with removals and swaps.
+//!
+//! Every set is refitted together with the baseline's own parameters and weighed by its evidence. From a set, all forms of all other
+//! effects are weighed linearly; those of the few best effects are refitted and join the pool. The search is bounded by counts.
 
-use super::baseline::{baseline_free, coasts, rated, refit_baseline};
-use super::case::{Accepted, Case, strip};
-use super::effects::{Effect, could_pose, library, not_judged};
-use super::estimate::Fitted;
-use super::finding::{Finding, Status, Unknown};
-use super::fit::{misfits, objective};
-use super::gaps::{self, Gaps};
-use super::problem::{Model, Problem};
+use super::baseline::{baseline_free, first_noise};
+use super::discrepancy::{SIZE, Term, terms};
+use super::evidence::{Equations, Question, Spreads, Start, Weighed, independent, weigh};
+use super::level::Level;
+use super::library::{Effect, Form, Phased, Size};
+use super::prior::Prior;
+use super::problem::{Column, Model, Problem};
+use super::refit::{Free, Noise, coefficients, columns_of, objective, refit};
 use super::rotor::{P, Parameters};
-use super::stats::{Fold, Group, HeldOut, folds, p_value};
-use super::trial::Trial;
+use rayon::prelude::*;
 
-/// Smallest held-out gain of a named cause.
-pub const LEAST_GAIN: f64 = 0.05;
-/// What the rotor equation itself may miss, as a share of the speed: less than this is no effect, however certain it is. The averaged
-/// motor model behind the simulated board, timed to a microsecond, leaves 0.1 to 0.2 %.
-pub const EQUATION_ERROR: f64 = 0.005;
-/// Largest p-value of a named cause.
-pub const LARGEST_P: f64 = 0.01;
-/// Share of the squared error a cause removes that a term without physics may still find before the cause is no longer believed:
-/// real effects do not have the library's forms, and a strong one leaves the difference in sight.
-pub const LACK_OF_FIT: f64 = 0.12;
-/// A rival that the library lists as a conflict and that gains this share of the winner's gain stays in the set, however
-/// narrow the interval of the difference: real effects do not have the library's forms, and the nearer form need not be the
-/// cause.
-const SAME_FOR_A_CONFLICT: f64 = 0.85;
-/// Least squared error that a later effect has to remove, as a share of what those before it removed: less is within the difference
-/// between their real form and the library's.
-const LATER: f64 = 0.1;
-/// The same beside an effect that it looks like.
-const LATER_BESIDE_A_CONFLICT: f64 = 0.25;
-/// Share of the best candidate's improvement that one has to reach to stand for it, where the best cannot be the cause.
-const NEARLY_AS_MUCH: f64 = 0.6;
-/// Share of what the baseline leaves that may stay beside a named cause (beyond the sampling), or another friction.
-const MOST_LEFT_BESIDE: f64 = 0.5;
-/// How much more squared error than the sampling leaves may stay whatever is to blame: the reduced rotor equation itself leaves up
-/// to 1.3 times as much.
-const LARGEST_MISFIT: f64 = 1.6;
-/// Where something lives that no term without physics catches.
-pub const NOWHERE: &str = "no one place";
-/// Data sets made to see what the sampling leaves.
-const MADE: usize = 8;
-/// Most effects that are added.
+/// What an effect costs before the data, in nats: one in twenty effects is there.
+const EFFECT_COST: f64 = 3.0;
+/// What a second effect over the same coordinate costs besides: the difference between the library's form of one and the real one lies
+/// there too.
+const SAME_COORDINATE: f64 = 10.0;
+/// What a term without physics costs: a cause of the library is the likelier explanation by far, but not beyond all evidence.
+const TERM_COST: f64 = 10.0;
+/// The same where an effect of the library acts over the term's coordinate: there the term is a form of that effect that nobody knows.
+const FREE_FORM_COST: f64 = 20.0;
+/// Most effects in a set.
 const MOST_EFFECTS: usize = 4;
-/// What else than the motor file's friction is tried, once the effects are found: a file may be of another motor, or another preload.
-const OTHER_FRICTIONS: [f64; 4] = [0.1, 0.316, 3.16, 10.0];
-/// What another friction has to save, in misfits of a mean run, before the search is repeated from there.
-const CLEARLY_BETTER: f64 = 1.0;
-/// What another friction may cost and still be possible, in misfits of a mean run.
-const AS_GOOD: f64 = 2.0;
+/// Most sets from which others are looked for.
+const MOST_EXPANDED: usize = 6;
+/// Effects of a set's candidates that are refitted.
+const TRIED: usize = 4;
+/// A set this far behind the best, in nats, is not looked at further: what it leads to has to make up for that too.
+const WINDOW: f64 = 9.0;
+/// Linear gain in nats from which a form is refitted: a refit seldom finds more than another nat, and an effect costs three.
+const LEAST_LOOK: f64 = 2.0;
+/// Nats behind the strongest candidate from which one waits for a later set.
+const FAR_BEHIND: f64 = 20.0;
+/// A plausible amplitude of what goes with the angle (relative, or rad), and its log deviation.
+const AMPLITUDE: (f64, f64) = (0.08, 1.2);
 
-/// What the search is asked to do.
+/// One effect in a set.
 #[derive(Debug, Clone)]
-pub struct Settings {
-    /// Seed of every random choice.
-    pub seed: u64,
-    /// Repetitions of the null.
-    pub repetitions: usize,
-    /// Names taken out of the library.
-    pub without: Vec<String>,
-    /// Whether the baseline lets the rotor coast with the drive off (flavour `thesis`).
-    pub coasting: bool,
-    /// How many candidates are refitted without linearising.
-    pub refitted: usize,
+pub struct Part {
+    /// Index in the library.
+    pub effect: usize,
+    /// Index among the effect's forms.
+    pub form: usize,
+    /// Its common parameters.
+    pub free: Vec<Free>,
+    /// Its phased pairs.
+    pub phased: Vec<Phased>,
 }
 
-impl Default for Settings {
-    fn default() -> Self {
-        Self { seed: 1, repetitions: 400, without: Vec::new(), coasting: false, refitted: 4 }
+/// A set of effects, refitted and weighed.
+#[derive(Debug, Clone)]
+pub struct Set {
+    /// The effects.
+    pub parts: Vec<Part>,
+    /// The model with them.
+    pub model: Model,
+    /// Log evidence with costs and priors.
+    pub score: f64,
+    /// What was found by integrating.
+    pub weighed: Weighed,
+    /// Terms without physics that the data ask for beside them, strongest first, with the squared error that is then left.
+    pub terms: Vec<(&'static str, f64)>,
+    expanded: bool,
+}
+
+impl Set {
+    /// Indices of its effects, sorted.
+    pub fn key(&self) -> Vec<usize> {
+        key(&self.parts)
     }
 }
 
-/// Everything the search found.
-#[derive(Debug, Clone)]
-pub struct Outcome {
-    /// Refitted baseline.
-    pub baseline: Model,
-    /// Model with all accepted effects.
-    pub extended: Model,
-    /// Held-out errors of baseline (0) and extended (1).
-    pub held_out: HeldOut,
-    /// r² over run mean speeds of baseline and extended, held out.
-    pub r2: [Option<f64>; 2],
-    /// Position error of baseline and extended in degrees.
-    pub position_deg: [f64; 2],
-    /// Evidence a candidate, named ones first.
-    pub findings: Vec<Finding>,
-    /// Flexible terms that still matter.
-    pub unknown: Vec<Unknown>,
-    /// Effects that could not be judged, with the reason.
-    pub not_judged: Vec<(String, String)>,
-    /// Noise floor in rpm.
-    pub noise_floor: f64,
-    /// The runs as they were compared: lost time put back, stretches of several edges.
-    pub problem: Problem,
-    /// Effects that were found, put in, and taken out again.
-    pub removed: Vec<String>,
-    /// Where nothing was found: a factor on the motor file's friction that leaves much less, and the error that is left then as a share
-    /// of the present one.
-    pub better_friction: Option<(f64, f64)>,
+fn key(parts: &[Part]) -> Vec<usize> {
+    let mut k: Vec<usize> = parts.iter().map(|p| p.effect).collect();
+    k.sort_unstable();
+    k
 }
 
-/// What a search has found so far.
-struct Found {
-    /// Model with all accepted effects.
-    model: Model,
-    accepted: Vec<Accepted>,
-    /// Names of those that were taken out again.
-    removed: Vec<String>,
-    /// Members of the answers, for their numbers.
-    fits: Vec<Fitted>,
-    findings: Vec<Finding>,
-    /// Every effect on its own beside the baseline.
-    alone: Vec<Finding>,
-    /// Share of the baseline's squared error that is left.
-    left: f64,
-    /// Variance of a weighted residual and spread of the run gains.
-    noise: (f64, f64),
-}
-
-/// Searches for what `start` gets wrong on `problem`.
-///
-/// If, with the effects found, quite another friction than the motor file's leaves less, the search is repeated from there.
-pub fn search(problem: &Problem, start: &Parameters, settings: &Settings, progress: &dyn Fn(&str, f64)) -> Outcome {
-    let ground = Ground::new(problem, start.clone(), settings, progress);
-    let found = find(&ground, settings, progress);
-    let (possible, better) = other_frictions(&ground.case(settings), &found);
-    if let Some(factor) = better {
-        let elsewhere = Ground::new(problem, rated(start, factor), settings, progress);
-        let there = find(&elsewhere, settings, progress);
-        let (variance, spread) = found.noise;
-        let [here_left, there_left] =
-            [(&ground, &found), (&elsewhere, &there)].map(|(g, f)| objective(&g.problem, &f.model, variance, spread));
-        if there_left < here_left {
-            let (possible, _) = other_frictions(&elsewhere.case(settings), &there);
-            return conclude(&elsewhere, there, &possible, settings, progress);
-        }
-    }
-    conclude(&ground, found, &possible, settings, progress)
-}
-
-/// Where a search stands: the runs, the baseline, and what may be looked for.
-struct Ground {
-    /// The runs as they came, compared in stretches.
-    original: Problem,
-    /// The baseline of those.
-    unrepaired: Model,
-    /// The runs with lost time put back.
-    problem: Problem,
-    /// The baseline.
-    baseline: Model,
-    /// The lost time.
-    lost: Option<Finding>,
-    home: Parameters,
-    effects: Vec<Effect>,
+/// What a search works on.
+pub struct Ground<'a> {
+    /// The runs.
+    pub problem: &'a Problem,
+    /// The motor file's rotor.
+    pub home: Parameters,
+    /// The library.
+    pub effects: &'a [Effect],
     /// Indices of the effects that these runs can show.
-    usable: Vec<usize>,
-    /// The others, with the reason.
-    refused: Vec<(String, String)>,
-    keys: Vec<String>,
-    divisions: Vec<Fold>,
+    pub usable: Vec<usize>,
+    /// What the gains of the runs scatter by.
+    pub level: Level,
+    /// How many independent residuals the runs count as.
+    pub independent: f64,
+    /// Terms without physics.
+    pub terms: Vec<Term>,
 }
 
-impl Ground {
-    fn new(problem: &Problem, home: Parameters, settings: &Settings, progress: &dyn Fn(&str, f64)) -> Self {
-        let effects: Vec<Effect> = library(home.get(P::OnAcceleration))
-            .into_iter()
-            .filter(|e| !settings.without.iter().any(|w| w == e.name))
-            .collect();
-        let mut refused = vec![(
-            "presliding".to_owned(),
-            "an elastic return is smaller than the encoder's pitch; a finer encoder would show it".to_owned(),
-        )];
-        let mut usable = Vec::new();
-        for (i, effect) in effects.iter().enumerate() {
-            match not_judged(effect.name, problem, settings.coasting) {
-                Some(reason) => refused.push((effect.name.to_owned(), reason)),
-                None => usable.push(i),
+/// A form of an effect beside a set.
+struct Candidate {
+    effect: usize,
+    form: usize,
+    gain: f64,
+    values: Vec<f64>,
+}
+
+impl<'a> Ground<'a> {
+    /// Of some runs.
+    pub fn new(problem: &'a Problem, home: Parameters, effects: &'a [Effect], usable: Vec<usize>) -> Self {
+        let rows: usize = problem.runs.iter().map(|r| r.windows.len()).sum();
+        let independent = independent(rows as f64, problem.runs.len());
+        Self { level: Level::new(problem), terms: terms(problem), problem, home, effects, usable, independent }
+    }
+
+    /// What is free in a set: the baseline's own parameters and the effects'.
+    pub fn free(&self, model: &Model, parts: &[Part]) -> Vec<Free> {
+        let mut free = baseline_free(&model.parameters, &self.home);
+        free.extend(parts.iter().flat_map(|p| p.free.iter().copied()));
+        free
+    }
+
+    /// The refitted baseline, weighed.
+    pub fn root(&self, baseline: Model) -> Set {
+        self.weigh_set(Vec::new(), baseline, None)
+    }
+
+    /// Searches from the refitted baseline; every set that was visited, best first.
+    pub fn search(&self, baseline: Model, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
+        let mut pool = vec![self.root(baseline)];
+        self.settle(&mut pool);
+        for round in 0..MOST_EXPANDED {
+            progress("weighing sets of effects", 0.1 + 0.7 * round as f64 / MOST_EXPANDED as f64);
+            let best = pool.iter().map(|s| s.score).fold(f64::NEG_INFINITY, f64::max);
+            let open = |s: &Set| !s.expanded && s.parts.len() < MOST_EFFECTS && s.score > best - WINDOW;
+            let next =
+                (0..pool.len()).filter(|i| open(&pool[*i])).max_by(|a, b| pool[*a].score.total_cmp(&pool[*b].score));
+            let Some(at) = next else { break };
+            pool[at].expanded = true;
+            let from = pool[at].clone();
+            self.expand(&from, &self.usable, TRIED, false, &mut pool);
+            if round == 0 {
+                self.reseat(&mut pool);
             }
+            self.remove(&mut pool);
         }
-        let keys: Vec<String> = problem
-            .runs
-            .iter()
-            .map(|r| format!("{:?}/{:.6}/{}/{}", r.kind, r.duty.unwrap_or(-1.0), r.direction, r.pwm_hz))
-            .collect();
-        let divisions = folds(&keys, if problem.runs.len() < 8 { problem.runs.len() } else { 5 }, settings.seed);
-        progress("looking for lost samples", 0.02);
-        let gaps = lost_samples(problem, &home, settings);
-        progress("refitting the baseline", 0.06);
-        let original = problem.clone().widened();
-        let unrepaired = refit_baseline(&original, &home, settings.coasting);
-        let (problem, baseline, lost) = match gaps {
-            Some(gaps) => {
-                let repaired = gaps.problem.widened();
-                let baseline = refit_baseline(&repaired, &home, settings.coasting);
-                (repaired, baseline, Some(gaps.finding))
+        self.swap(&mut pool);
+        pool.sort_by(|a, b| b.score.total_cmp(&a.score));
+        pool
+    }
+
+    /// Refits the baseline with the noise that it leaves, until that changes nothing: the first look took the noise from the misfit.
+    fn settle(&self, pool: &mut [Set]) {
+        for _ in 0..3 {
+            let model = self.refitted(pool[0].model.clone(), &[], self.noise(&pool[0]), 8);
+            let again = self.root(model);
+            if again.score < pool[0].score + 0.1 {
+                break;
             }
-            None => (original.clone(), unrepaired.clone(), None),
-        };
-        Self { original, unrepaired, problem, baseline, lost, home, effects, usable, refused, keys, divisions }
-    }
-
-    fn case(&self, settings: &Settings) -> Case<'_> {
-        Case {
-            problem: &self.problem,
-            base_free: baseline_free(&self.baseline.parameters, &self.home, settings.coasting),
-            home: self.home.clone(),
-            effects: &self.effects,
-            keys: &self.keys,
-            divisions: &self.divisions,
-            seed: settings.seed,
+            pool[0] = again;
         }
     }
-}
 
-/// The effects that pass every test.
-fn find(ground: &Ground, settings: &Settings, progress: &dyn Fn(&str, f64)) -> Found {
-    let case = ground.case(settings);
-    let mut found = add(&case, ground, settings, progress);
-    progress("checking what can be left out", 0.8);
-    leave_out(&case, &mut found);
-    settle(&mut found.findings);
-    doubt(&mut found.findings, &ground.effects, &ground.refused);
-    progress("holding other frictions against the motor file's", 0.85);
-    found
-}
-
-/// Numbers, left-overs and scores of what was found.
-fn conclude(
-    ground: &Ground,
-    mut found: Found,
-    possible: &[f64],
-    settings: &Settings,
-    progress: &dyn Fn(&str, f64),
-) -> Outcome {
-    let case = ground.case(settings);
-    progress("measuring what the sampling does to the numbers", 0.87);
-    measure(&case, &mut found, possible);
-    progress("looking for what no candidate explains", 0.9);
-    let unknown = unexplained(&case, &ground.baseline, &found, settings);
-    let Found { model, accepted, mut findings, alone, noise, removed, .. } = found;
-    let before = Case { problem: &ground.original, ..case.clone() }.held_out(&ground.unrepaired, &[], Some(noise));
-    let held_out = before.against(&case.held_out(&model, &accepted, Some(noise)));
-    case.share_out(&model, &accepted, &mut findings);
-    let lost = accepted.is_empty() && !unknown.is_empty();
-    let better_friction = if lost { better_friction(ground, noise, settings) } else { None };
-    for f in alone {
-        if !findings.iter().any(|g| g.name == f.name) {
-            findings.push(f);
+    /// A better baseline, where a set without its effect leads to one: the refit had stopped in another valley.
+    fn reseat(&self, pool: &mut Vec<Set>) {
+        let Some(best) = pool.iter().skip(1).max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
+        if best.parts.len() != 1 {
+            return;
+        }
+        let model = self.refitted(strip(&best.model, &best.parts[0]), &[], self.noise(best), 8);
+        let again = self.root(model);
+        if again.score > pool[0].score + 1.0 {
+            *pool = vec![again];
         }
     }
-    Outcome {
-        // What is left bounds the floor from above.
-        noise_floor: case.noise_floor(&model, noise.1).min(held_out.rmse(1)),
-        r2: [case.mean_speed_r2(&ground.baseline, &[]), case.mean_speed_r2(&model, &accepted)],
-        position_deg: [case.position_error_deg(&ground.baseline), case.position_error_deg(&model)],
-        problem: ground.problem.clone(),
-        baseline: ground.baseline.clone(),
-        extended: model,
-        held_out,
-        findings,
-        unknown,
-        not_judged: ground.refused.clone(),
-        removed,
-        better_friction,
-    }
-}
 
-/// Where nothing is found and something is left: the factor on the file's friction with which the baseline leaves less than half, and how
-/// large its error then is beside the present one.
-fn better_friction(ground: &Ground, noise: (f64, f64), settings: &Settings) -> Option<(f64, f64)> {
-    let error = |m: &Model| objective(&ground.problem, m, noise.0, noise.1);
-    let here = error(&ground.baseline);
-    let there = |factor: f64| {
-        let model = refit_baseline(&ground.problem, &rated(&ground.home, factor), settings.coasting);
-        (factor, error(&model) / here.max(1e-12))
-    };
-    let best = OTHER_FRICTIONS.map(there).into_iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
-    (best.1 < MOST_LEFT_BESIDE).then(|| (best.0, best.1.sqrt()))
-}
-
-/// Lost words of samples, unless a wrong clock does as well.
-fn lost_samples(problem: &Problem, start: &Parameters, settings: &Settings) -> Option<Gaps> {
-    if settings.without.iter().any(|w| w == "dropped-samples") {
-        return None;
-    }
-    let baseline = refit_baseline(problem, start, settings.coasting);
-    gaps::find(problem, &baseline, settings.seed).filter(|g| !clock_explains(problem, &baseline, g))
-}
-
-/// Adds one effect after the other, as long as each passes every test.
-fn add(case: &Case, ground: &Ground, settings: &Settings, progress: &dyn Fn(&str, f64)) -> Found {
-    let usable = &ground.usable;
-    let mut found = Found {
-        model: ground.baseline.clone(),
-        accepted: Vec::new(),
-        removed: Vec::new(),
-        fits: Vec::new(),
-        findings: ground.lost.iter().cloned().collect(),
-        alone: Vec::new(),
-        left: 1.0,
-        noise: (1.0, 0.01),
-    };
-    for round in 0..=MOST_EFFECTS {
-        progress("searching the library", 0.1 + 0.15 * round as f64);
-        let step = case.step(&found.model, &found.accepted, usable);
-        let grams = &step.around.grams;
-        found.noise = (grams.variance, grams.gain_spread);
-        if step.candidates.is_empty() || round == MOST_EFFECTS {
-            break;
-        }
-        let groups: Vec<Group> = step.candidates.iter().map(|c| c.group.clone()).collect();
-        let seed = settings.seed + 1000 * round as u64;
-        let (improvements, null) = grams.screen(&step.around.base, &groups, settings.repetitions, seed);
-        // The best shape of each effect, the best effect first.
-        let mut best: Vec<usize> = usable
-            .iter()
-            .filter_map(|effect| {
-                let shapes = (0..step.candidates.len()).filter(|c| step.candidates[*c].effect == *effect);
-                shapes.max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))
-            })
-            .collect();
-        best.sort_by(|a, b| improvements[*b].total_cmp(&improvements[*a]));
-        let p_of = |c: usize| p_value(improvements[c], &null);
-        if round == 0 {
-            let evidence = |c: &usize| {
-                let candidate = &step.candidates[*c];
-                let held = grams.hold_out(&step.around.base, &candidate.group);
-                let effect = &case.effects[candidate.effect];
-                Finding { p_null: p_of(*c), ..finding(effect, &held, Status::Rejected, settings.seed) }
+    /// Sets with one more effect than `from`; `again` also those that were visited, with other forms.
+    fn expand(&self, from: &Set, among: &[usize], most: usize, again: bool, pool: &mut Vec<Set>) {
+        let candidates = self.candidates(from, among);
+        let strongest = candidates.first().map_or(0.0, |c| c.gain);
+        let mut tried: Vec<(usize, usize)> = Vec::new();
+        for c in candidates.iter().filter(|c| c.gain > strongest - FAR_BEHIND) {
+            // A second form of an effect is worth a refit where no parameter joins it to the first.
+            let forms: Vec<usize> = tried.iter().filter(|t| t.0 == c.effect).map(|t| t.1).collect();
+            let effects: std::collections::BTreeSet<usize> = tried.iter().map(|t| t.0).collect();
+            let another = match forms.first() {
+                None => effects.len() < most,
+                Some(first) => {
+                    forms.len() < 2
+                        && self.effects[c.effect].forms[*first].differs(&self.effects[c.effect].forms[c.form])
+                }
             };
-            found.alone = best.iter().map(evidence).collect();
+            if !another {
+                continue;
+            }
+            tried.push((c.effect, c.form));
+            let mut target = from.key();
+            target.push(c.effect);
+            target.sort_unstable();
+            let known = pool.iter().position(|s| s.key() == target);
+            if known.is_some() && forms.is_empty() && from.parts.len() > 1 && !again {
+                continue;
+            }
+            let set = self.with(from, c, &pool[0]);
+            match known {
+                Some(k) if pool[k].score >= set.score => {}
+                Some(k) => pool[k] = set,
+                None => pool.push(set),
+            }
         }
-        best.retain(|c| improvements[*c] > 0.0 && p_of(*c) <= LARGEST_P);
-        best.truncate(settings.refitted);
-        if best.is_empty() {
-            break;
+    }
+
+    /// Sets that lack one effect of the best.
+    fn remove(&self, pool: &mut Vec<Set>) {
+        let Some(best) = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).cloned() else { return };
+        if best.parts.len() < 2 {
+            return;
         }
-        progress("refitting the best candidates", 0.15 + 0.15 * round as f64);
-        let before = grams.hold_out(&step.around.base, &Group::Linear(Vec::new()));
-        let mut trials: Vec<Trial> = best
+        for k in 0..best.parts.len() {
+            if let Some(set) = self.without(&best, k, pool) {
+                pool.push(set);
+            }
+        }
+    }
+
+    /// The set without its effect `k`, unless it was visited.
+    fn without(&self, set: &Set, k: usize, pool: &[Set]) -> Option<Set> {
+        let mut parts = set.parts.clone();
+        let gone = parts.remove(k);
+        let target = key(&parts);
+        if pool.iter().any(|s| s.key() == target) {
+            return None;
+        }
+        let model = strip(&set.model, &gone);
+        let model = self.refitted(model, &parts, self.noise(set), 4);
+        Some(self.weigh_set(parts, model, Some(&pool[0])))
+    }
+
+    /// Rivals in the place of each effect of the best set.
+    fn swap(&self, pool: &mut Vec<Set>) {
+        let Some(best) = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).cloned() else { return };
+        for k in 0..best.parts.len() {
+            let mut rest = best.key();
+            rest.retain(|e| *e != best.parts[k].effect);
+            let Some(base) = pool.iter().find(|s| s.key() == rest).cloned() else { continue };
+            let name = self.effects[best.parts[k].effect].name;
+            let rivals: Vec<usize> = self
+                .usable
+                .iter()
+                .copied()
+                .filter(|e| {
+                    let other = &self.effects[*e];
+                    let rival = other.conflicts.contains(&name)
+                        || self.effects[best.parts[k].effect].conflicts.contains(&other.name);
+                    let mut target = rest.clone();
+                    target.push(*e);
+                    target.sort_unstable();
+                    rival && !pool.iter().any(|s| s.key() == target)
+                })
+                .collect();
+            // Beside what was found since, another form of the effect itself may be the nearer one.
+            let anew: Vec<usize> = rivals.into_iter().chain([best.parts[k].effect]).collect();
+            self.expand(&base, &anew, anew.len(), true, pool);
+        }
+    }
+
+    /// What residuals scatter in a set.
+    pub fn noise(&self, set: &Set) -> Noise {
+        let [chance, duty, direction, both, order] = set.weighed.taus;
+        let spread = [chance, duty, direction, both, order].iter().map(|t| t * t).sum::<f64>().sqrt();
+        Noise { variance: set.weighed.variance, gain_spread: spread.clamp(3e-3, 0.1) }
+    }
+
+    /// The model refitted with the effects in it.
+    fn refitted(&self, model: Model, parts: &[Part], noise: Noise, steps: usize) -> Model {
+        let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        let free = self.free(&model, parts);
+        refit(self.problem, model, &free, &phased, noise, steps)
+    }
+
+    /// Columns of a set: gain, other free parameters, phased pairs; and what is asked of them.
+    fn columns(&self, model: &Model, parts: &[Part]) -> (Vec<Column>, Question) {
+        let free = self.free(model, parts);
+        let mut columns = columns_of(&free);
+        let common = free
             .iter()
-            .map(|c| {
-                let trial = case.trial(&step, &step.candidates[*c], &found.model, &found.accepted);
-                Trial { held: before.against(&trial.held), p_null: p_of(*c), ..trial }
+            .enumerate()
+            .skip(1)
+            .map(|(k, f)| (k, (f.prior.sd_near(model.parameters.get(f.parameter)) / f.scale).min(10.0)))
+            .collect();
+        let mut own = Vec::new();
+        for (group, p) in parts.iter().flat_map(|p| &p.phased).enumerate() {
+            for column in p.columns() {
+                own.push((columns.len(), group));
+                columns.push(column);
+            }
+        }
+        (columns, Question { common, own })
+    }
+
+    /// Weighs a refitted set; `root` is the set without effects.
+    fn weigh_set(&self, parts: Vec<Part>, model: Model, root: Option<&Set>) -> Set {
+        let (mut columns, base) = self.columns(&model, &parts);
+        let own_columns = base.own_range();
+        let at: Vec<std::ops::Range<usize>> = self
+            .terms
+            .iter()
+            .map(|t| {
+                let from = columns.len();
+                columns.extend(t.columns.iter().cloned());
+                from..columns.len()
             })
             .collect();
-        trials.sort_by(|a, b| b.held.improvement().total_cmp(&a.held.improvement()));
-        let Some(stands) = standing(case, &trials, &mut found) else { break };
-        trials.swap(0, stands);
-        accept(case, &trials, &mut found);
-    }
-    found
-}
-
-/// The trial that may be a cause, if any, and in `found.alone` why others may not. Where the best is refused, one that explains nearly as
-/// much may stand for it; where none does, the library has no answer.
-fn standing(case: &Case, trials: &[Trial], found: &mut Found) -> Option<usize> {
-    let effect = |a: &Accepted| &case.effects[a.effect];
-    let mut stands = None;
-    for (k, trial) in trials.iter().enumerate() {
-        let beside = found.accepted.iter().any(|a| conflict(effect(a), effect(&trial.accepted)));
-        let reason = refusal(trial, found.left, beside, EQUATION_ERROR * case.problem.rms_speed_rpm(), case.seed);
-        if reason.is_none() && trial.held.improvement() >= NEARLY_AS_MUCH * trials[0].held.improvement() {
-            stands = stands.or(Some(k));
-        }
-        if let (Some(reason), Some(f)) =
-            (reason, found.alone.iter_mut().find(|f| f.name == effect(&trial.accepted).name))
-        {
-            f.note = reason;
-        }
-    }
-    stands
-}
-
-/// Takes the first of `trials` into the model, and it with its rivals into the answer.
-fn accept(case: &Case, trials: &[Trial], found: &mut Found) {
-    let winner = &trials[0];
-    let effect = |t: &Trial| &case.effects[t.accepted.effect];
-    let rival = |t: &&Trial| {
-        let listed = conflict(effect(winner), effect(t));
-        t.held.gain() >= 0.5 * winner.held.gain()
-            && t.estimates_ok
-            && (winner.held.lead_interval(&t.held, case.seed)[0] <= 0.0
-                || (listed && t.held.gain() >= SAME_FOR_A_CONFLICT * winner.held.gain()))
-    };
-    let set: Vec<&Trial> = std::iter::once(winner).chain(trials[1..].iter().filter(rival)).collect();
-    for t in &set {
-        let status = if set.len() == 1 { Status::Named } else { Status::Ambiguous };
-        let others = set.iter().map(|o| effect(o).name).filter(|name| *name != effect(t).name);
-        found.findings.push(Finding {
-            p_null: t.p_null,
-            parameters: t.estimates.clone(),
-            conflicts: others.map(str::to_owned).collect(),
-            ..finding(effect(t), &t.held, status, case.seed)
-        });
-    }
-    found.fits.extend(set.iter().filter(|t| t.accepted.phased.is_empty()).map(|t| Fitted {
-        own: t.accepted.clone(),
-        others: found.accepted.clone(),
-        model: t.model.clone(),
-    }));
-    found.left *= (1.0 - winner.held.gain()).powi(2);
-    found.model = winner.model.clone();
-    found.accepted.push(winner.accepted.clone());
-}
-
-fn finding(effect: &Effect, held: &HeldOut, status: Status, seed: u64) -> Finding {
-    Finding {
-        name: effect.name.to_owned(),
-        status,
-        gain: held.gain(),
-        gain_interval: held.gain_interval(seed),
-        p_null: 1.0,
-        parameters: Vec::new(),
-        conflicts: Vec::new(),
-        next_experiment: effect.next_experiment.to_owned(),
-        share: 0.0,
-        note: String::new(),
-    }
-}
-
-/// Takes out again what is no longer needed.
-fn leave_out(case: &Case, found: &mut Found) {
-    let mut k = 0;
-    while k < found.accepted.len() && found.accepted.len() > 1 {
-        let mut without = found.accepted.clone();
-        let candidate = without.remove(k);
-        let smaller = case.refit(&strip(&found.model, &candidate), &without).0;
-        let full = case.held_out(&found.model, &found.accepted, Some(found.noise));
-        let less = case.held_out(&smaller, &without, Some(found.noise));
-        if needed(&full, &less, case.seed) {
-            k += 1;
-            continue;
-        }
-        let name = case.effects[candidate.effect].name;
-        found.removed.push(name.to_owned());
-        if let Some(f) = found.findings.iter_mut().find(|f| f.name == name) {
-            f.status = Status::Rejected;
-            f.note = "not needed beside the others".to_owned();
-        }
-        found.model = smaller;
-        found.accepted = without;
-    }
-}
-
-/// A cause that looks like one these runs cannot judge is not named alone.
-fn doubt(findings: &mut [Finding], effects: &[Effect], refused: &[(String, String)]) {
-    for f in findings.iter_mut().filter(|f| f.status == Status::Named) {
-        let Some(own) = effects.iter().find(|e| e.name == f.name) else { continue };
-        let posing = |(name, _): &&(String, String)| {
-            could_pose(name) && effects.iter().any(|e| e.name == name && conflict(own, e))
+        let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        let designs = self.problem.design(&model, &columns);
+        let equations = Equations::new(&designs, own_columns, &coefficients(&model, &phased));
+        let without = root.map_or(0.0, |r| r.weighed.left);
+        let start = Start {
+            variance: root
+                .map_or_else(|| first_noise(self.problem, &model, self.independent).variance, |r| r.weighed.variance),
+            taus: self.level.believed(),
+            without,
+            spreads: Spreads::Anywhere,
         };
-        for (name, reason) in refused.iter().filter(posing) {
-            f.status = Status::Ambiguous;
-            f.conflicts.push(name.clone());
-            f.note = format!("{name} looks like it and cannot be judged from these runs: {reason}");
-        }
-    }
-}
-
-/// Factors on the motor file's friction that explain the runs as well beside the effects found, and the one that explains them so
-/// much better that the search belongs there.
-fn other_frictions(case: &Case, found: &Found) -> (Vec<f64>, Option<f64>) {
-    // Phases of their own in every run follow any friction: beside them the data say nothing of it.
-    let phased = found.accepted.iter().any(|a| !a.phased.is_empty());
-    if found.accepted.is_empty() || phased || coasts(&found.model) {
-        return (Vec::new(), None);
-    }
-    let (variance, spread) = found.noise;
-    let error = |m: &Model| objective(case.problem, m, variance, spread);
-    let here = error(&found.model);
-    let a_run = here / case.problem.runs.len() as f64;
-    let costs = OTHER_FRICTIONS.map(|factor| {
-        let other = case.believing(factor);
-        (factor, error(&other.refit(&other.at_home(&found.model), &found.accepted).0))
-    });
-    let (factor, least) = costs.into_iter().fold((1.0, here), |a, b| if b.1 < a.1 { b } else { a });
-    let possible = costs.iter().filter(|c| c.1 <= least + AS_GOOD * a_run).map(|c| c.0).collect();
-    (possible, (least < here - CLEARLY_BETTER * a_run).then_some(factor))
-}
-
-/// Puts the numbers into the findings: in the final model, without what the sampling adds to them.
-fn measure(case: &Case, found: &mut Found, possible: &[f64]) {
-    for fit in &mut found.fits {
-        let name = case.effects[fit.own.effect].name;
-        let Some(finding) = found.findings.iter_mut().find(|f| f.name == name && f.status != Status::Rejected) else {
-            continue;
-        };
-        if found.accepted.iter().any(|a| a.effect == fit.own.effect) {
-            // What was accepted later has moved it.
-            fit.model = found.model.clone();
-            fit.others = found.accepted.iter().filter(|a| a.effect != fit.own.effect).cloned().collect();
-        }
-        finding.parameters = case.numbers(fit, found.noise.1, possible);
-    }
-}
-
-/// What terms without physics still find beside the model, the strongest first.
-fn unexplained(case: &Case, baseline: &Model, found: &Found, settings: &Settings) -> Vec<Unknown> {
-    let flexible = case.flexible(&found.model, &found.accepted);
-    let (base, grams) = (&flexible.around.base, &flexible.around.grams);
-    let groups: Vec<Group> = flexible.terms.iter().map(|f| f.1.clone()).collect();
-    let (improvements, null) = grams.screen(base, &groups, settings.repetitions, settings.seed + 77_777);
-    let mut unknown: Vec<Unknown> = flexible
-        .terms
-        .iter()
-        .zip(improvements)
-        .map(|((lives_in, group), improvement)| (lives_in, group, improvement, p_value(improvement, &null)))
-        .filter(|(.., improvement, p)| *improvement > 0.0 && *p <= LARGEST_P)
-        .map(|(lives_in, group, _, p_null)| (lives_in, grams.hold_out(base, group), p_null))
-        .filter(|(_, held, _)| held.removed_rpm() > EQUATION_ERROR * case.problem.rms_speed_rpm())
-        .map(|(lives_in, held, p_null)| Unknown { lives_in, gain: held.gain(), p_null })
-        .collect();
-    unknown.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-    // Where no cause is found and no term without physics catches it, or where the cause leaves most of it, the sampling still says how
-    // much too much is left.
-    let models = [baseline, &found.model];
-    let sampled = misfits(case.problem, models, grams.variance, grams.gain_spread, MADE, settings.seed);
-    let left = sampled.or_else(|| case.misfits_of_exact_times(models, grams.gain_spread));
-    let Some([before, after]) = left else { return unknown };
-    let most_is_left = found.accepted.is_empty() || after - 1.0 > MOST_LEFT_BESIDE * (before - 1.0);
-    if after > LARGEST_MISFIT && most_is_left {
-        let gain = 1.0 - (1.0 / after).sqrt();
-        unknown.push(Unknown { lives_in: NOWHERE, gain, p_null: 1.0 / (1 + MADE) as f64 });
-    }
-    unknown
-}
-
-/// Why a candidate that is significant cannot be the cause. `left` is the share of the baseline's squared error that the effects found
-/// so far leave; `beside_a_conflict` says that one of them looks like the candidate; `least_rpm` is what the rotor equation itself may miss.
-fn refusal(trial: &Trial, left: f64, beside_a_conflict: bool, least_rpm: f64, seed: u64) -> Option<String> {
-    let gain = trial.held.gain();
-    if !trial.estimates_ok {
-        return Some("its size is not distinguishable from absent, or not admissible".to_owned());
-    }
-    if gain < LEAST_GAIN || trial.held.gain_interval(seed)[0] <= 0.0 {
-        return Some(format!(
-            "significant, but its gain of {:.1} % is below {:.0} % or not certain",
-            100.0 * gain,
-            100.0 * LEAST_GAIN
-        ));
-    }
-    let removed_rpm = trial.held.removed_rpm();
-    if removed_rpm < least_rpm {
-        return Some(format!(
-            "removes {removed_rpm:.3} rpm, and the reduced motor model itself may be wrong by {least_rpm:.3} rpm ({} % of the speed)",
-            100.0 * EQUATION_ERROR
-        ));
-    }
-    let more = left * (1.0 - (1.0 - gain).powi(2));
-    let least = if beside_a_conflict { LATER_BESIDE_A_CONFLICT } else { LATER };
-    (more < least * (1.0 - left)).then(|| {
-        format!(
-            "removes {:.1} % of what was removed before it: too little to tell from the difference between the real form of that and the \
-             library's",
-            100.0 * more / (1.0 - left)
-        )
-    })
-}
-
-/// Whether a wrong clock does as well as lost samples: both move the PWM line.
-fn clock_explains(problem: &Problem, baseline: &Model, gaps: &Gaps) -> bool {
-    let square = |p: &Problem, m: &Model| objective(p, m, 1.0, 0.0);
-    let with_gaps = square(&gaps.problem, baseline);
-    (-30..=30).filter(|k| *k != 0).any(|k| {
-        let mut m = baseline.clone();
-        m.parameters.set(P::ClockError, 4e-4 * f64::from(k));
-        square(problem, &m) < 1.05 * with_gaps
-    })
-}
-
-/// Whether the fuller model does better on runs it was not fitted to: with the gain of each run free, or with it as it is.
-fn needed(full: &HeldOut, less: &HeldOut, seed: u64) -> bool {
-    full.lead_interval(less, seed)[0] > 0.0 || less.against(full).gain_interval(seed)[0] > 0.0
-}
-
-/// A rival that earned a place of its own in a later step was no rival: its first entry goes, and what it left alone is named.
-fn settle(findings: &mut Vec<Finding>) {
-    let mut k = 0;
-    while k < findings.len() {
-        let name = findings[k].name.clone();
-        let later = findings[k + 1..].iter().any(|f| f.name == name && f.status != Status::Rejected);
-        if findings[k].status == Status::Ambiguous && later {
-            findings.remove(k);
-            for f in findings.iter_mut().take_while(|f| f.name != name) {
-                f.conflicts.retain(|c| *c != name);
-                if f.status == Status::Ambiguous && f.conflicts.is_empty() {
-                    f.status = Status::Named;
+        let ask = |terms: &[usize], start: &Start, level: &Level| {
+            let mut q = base.clone();
+            for t in terms {
+                if self.terms[*t].own {
+                    // Each harmonic has a power of its own; the knots of a wander share one.
+                    let group = q.own.iter().map(|o| o.1 + 1).max().unwrap_or(0);
+                    let pair = |i: usize| if self.terms[*t].harmonic { i / 2 } else { 0 };
+                    q.own.extend(at[*t].clone().enumerate().map(|(i, c)| (c, group + pair(i))));
+                } else {
+                    let sd = if self.terms[*t].lives_in == "timing against the PWM" { 1.0 } else { SIZE };
+                    q.common.extend(at[*t].clone().map(|c| (c, sd)));
                 }
             }
-        } else {
-            k += 1;
+            weigh(&equations, level, &q, start)
+        };
+        let failed = || Weighed {
+            log: f64::NEG_INFINITY,
+            left: f64::INFINITY,
+            variance: start.variance,
+            taus: start.taus,
+            gains: vec![0.0; self.problem.runs.len()],
+            common: Vec::new(),
+            powers: Vec::new(),
+        };
+        let mut weighed = ask(&[], &start, &self.level).unwrap_or_else(failed);
+        if let Some(r) = root {
+            let shift = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+            let level = self.level.beside_a_shift((shift / weighed.gains.len().max(1) as f64).sqrt());
+            weighed = ask(&[], &Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() }, &level)
+                .unwrap_or_else(failed);
         }
+        // Terms without physics, one after the other, at the spreads that the gains have without them.
+        let without = without.max(weighed.left);
+        let near = Start { variance: weighed.variance, taus: weighed.taus, without, spreads: Spreads::Stay };
+        let mut chosen: Vec<usize> = Vec::new();
+        let mut best = weighed.log;
+        let mut left = Vec::new();
+        for _ in 0..2 {
+            let next = (0..self.terms.len())
+                .into_par_iter()
+                .filter(|t| !chosen.contains(t))
+                .filter_map(|t| {
+                    let more = [chosen.clone(), vec![t]].concat();
+                    ask(&more, &near, &self.level).map(|w| (t, w.log - self.term_cost(t), w.left))
+                })
+                .max_by(|a, b| a.1.total_cmp(&b.1));
+            let Some((t, log, rest)) = next else { break };
+            let cost: f64 = chosen.iter().map(|c| self.term_cost(*c)).sum();
+            if log - cost <= best {
+                break;
+            }
+            best = log - cost;
+            chosen.push(t);
+            left.push((self.terms[t].lives_in, rest));
+        }
+        let free = self.free(&model, &parts);
+        let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
+        let amplitude: f64 = weighed
+            .powers
+            .iter()
+            .map(|p| -0.5 * (((2.0 * p).sqrt() / AMPLITUDE.0).ln() / AMPLITUDE.1).powi(2))
+            .sum::<f64>();
+        let amplitude = if self.parts_admissible(&parts, &weighed.powers) { amplitude } else { f64::NEG_INFINITY };
+        let ways: f64 = parts.iter().map(|p| (self.effects[p.effect].ways() as f64).ln()).sum();
+        let coordinates: std::collections::BTreeSet<_> =
+            parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
+        let shared = (parts.len() - coordinates.len()) as f64;
+        let score = best + prior + amplitude - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
+        Set { parts, model, score, weighed, terms: left, expanded: false }
+    }
+
+    fn term_cost(&self, term: usize) -> f64 {
+        let over = |e: &usize| self.terms[term].coordinates.contains(&self.effects[*e].coordinate);
+        if self.usable.iter().any(over) { FREE_FORM_COST } else { TERM_COST }
+    }
+
+    /// Whether what goes with the angle goes with it once or twice a turn before all: a rhythm of the third harmonic and beyond is another
+    /// cause (poles, teeth, a contact of many points).
+    fn parts_admissible(&self, parts: &[Part], powers: &[f64]) -> bool {
+        let mut at = 0;
+        parts.iter().all(|part| {
+            let own = &powers[at.min(powers.len())..(at + part.phased.len()).min(powers.len())];
+            at += part.phased.len();
+            let order = |p: &Phased| match p {
+                Phased::Runout(h) | Phased::Eccentricity(h) => *h,
+                Phased::Gravity => 0,
+            };
+            let (low, high) = part.phased.iter().zip(own).fold((0.0, 0.0), |(low, high), (p, power)| {
+                if order(p) < 2 { (low + power, high) } else { (low, high + power) }
+            });
+            high <= low
+        })
+    }
+
+    /// All forms of the effects `among` beside a set, weighed linearly: the two best forms of each, best effects first.
+    fn candidates(&self, from: &Set, among: &[usize]) -> Vec<Candidate> {
+        let (mut columns, base) = self.columns(&from.model, &from.parts);
+        let own_columns = base.own_range();
+        let present = from.key();
+        let mut forms = Vec::new();
+        for &effect in among {
+            if present.contains(&effect) || self.excluded(effect, &present) {
+                continue;
+            }
+            for (k, form) in self.effects[effect].forms.iter().enumerate() {
+                let sizes: Vec<usize> = form.columns().into_iter().map(|c| place(&mut columns, c)).collect();
+                let shape: Vec<(P, f64)> = form.shapes.iter().map(|s| (s.parameter, s.start)).collect();
+                let pairs: Vec<usize> = form
+                    .phased
+                    .iter()
+                    .flat_map(|p| p.columns())
+                    .map(|c| {
+                        place(
+                            &mut columns,
+                            if shape.is_empty() { c } else { Column::Shaped(Box::new(c), shape.clone()) },
+                        )
+                    })
+                    .collect();
+                forms.push((effect, k, sizes, pairs));
+            }
+        }
+        let phased: Vec<Phased> = from.parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        let designs = self.problem.design(&from.model, &columns);
+        let equations = Equations::new(&designs, own_columns, &coefficients(&from.model, &phased));
+        let ask = |sizes: &[usize], pairs: &[usize], start: &Start| {
+            let mut q = base.clone();
+            q.common.extend(sizes.iter().map(|c| (*c, 1.0)));
+            let group = q.own.iter().map(|o| o.1 + 1).max().unwrap_or(0);
+            q.own.extend(pairs.iter().enumerate().map(|(i, c)| (*c, group + i / 2)));
+            weigh(&equations, &self.level, &q, start)
+        };
+        let start = |taus, spreads| Start {
+            variance: from.weighed.variance,
+            taus,
+            without: from.weighed.left.max(0.0),
+            spreads,
+        };
+        let believed = self.level.believed();
+        let Some(now) = ask(&[], &[], &start(from.weighed.taus, Spreads::Stay)) else { return Vec::new() };
+        let mut weighed: Vec<Candidate> = forms
+            .par_iter()
+            .filter_map(|(effect, form, sizes, pairs)| {
+                let spec = &self.effects[*effect].forms[*form];
+                let looks = [from.weighed.taus, believed]
+                    .into_iter()
+                    .filter_map(|t| ask(sizes, pairs, &start(t, Spreads::Stay)));
+                let best = looks.max_by(|a, b| a.log.total_cmp(&b.log))?;
+                let values = self.admissible(spec, &best.common[base.common.len()..])?;
+                Some(Candidate { effect: *effect, form: *form, gain: best.log - now.log, values })
+            })
+            .collect();
+        weighed.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        // The two best forms of each effect, with the spreads of the gains found anew.
+        let mut kept: Vec<Candidate> = Vec::new();
+        for c in weighed {
+            if kept.iter().filter(|k| k.effect == c.effect).count() < 2 {
+                kept.push(c);
+            }
+        }
+        let of = |c: &Candidate| forms.iter().find(|f| f.0 == c.effect && f.1 == c.form);
+        kept.par_iter_mut().for_each(|c| {
+            if let Some((_, _, sizes, pairs)) = of(c)
+                && let Some(w) = ask(sizes, pairs, &start(from.weighed.taus, Spreads::Near))
+                && let Some(values) =
+                    self.admissible(&self.effects[c.effect].forms[c.form], &w.common[base.common.len()..])
+            {
+                c.gain = w.log - now.log;
+                c.values = values;
+            }
+        });
+        kept.retain(|c| c.gain > LEAST_LOOK);
+        kept.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        kept
+    }
+
+    /// Effects that are not both in a set: they are one thing seen from two sides.
+    fn excluded(&self, effect: usize, present: &[usize]) -> bool {
+        let twins = ["preload-runout", "encoder-eccentricity"];
+        let is = |e: usize| twins.contains(&self.effects[e].name);
+        is(effect) && present.iter().any(|p| is(*p))
+    }
+
+    /// Sizes from the coefficients of a linear search, if they can be.
+    fn admissible(&self, form: &Form, coefficients: &[f64]) -> Option<Vec<f64>> {
+        form.sizes
+            .iter()
+            .zip(coefficients)
+            .map(|(s, c)| {
+                let value = c * s.scale;
+                let secant = s.step.abs() >= 0.99 * s.scale;
+                // A secant stands for sizes near its own; a size of one sign cannot be of the other.
+                let near = !secant || (0.4..=1.8).contains(&(value / s.step));
+                let sign = s.bounds.0 < 0.0 || value >= 0.4 * s.bounds.0.max(0.0) && value > 0.0;
+                (near && sign).then(|| value.clamp(s.bounds.0, s.bounds.1))
+            })
+            .collect()
+    }
+
+    /// The set with a candidate in it, refitted.
+    fn with(&self, from: &Set, candidate: &Candidate, root: &Set) -> Set {
+        let spec = &self.effects[candidate.effect].forms[candidate.form];
+        let part =
+            Part { effect: candidate.effect, form: candidate.form, free: free_of(spec), phased: spec.phased.clone() };
+        let mut start = from.model.clone();
+        for s in &spec.shapes {
+            start.parameters.set(s.parameter, s.start);
+        }
+        let mut parts = from.parts.clone();
+        parts.push(part);
+        let noise = self.noise(from);
+        let noise = Noise { gain_spread: noise.gain_spread.min(0.02), ..noise };
+        let at = |share: f64| {
+            let mut m = start.clone();
+            for (s, v) in spec.sizes.iter().zip(&candidate.values) {
+                m.parameters.set(s.parameter, share * v);
+            }
+            m
+        };
+        // The linear size may lie in another valley than the optimum, and the baseline's refit may have taken part of the effect.
+        let mut starts = vec![at(1.0)];
+        if !spec.sizes.is_empty() {
+            let mut file = at(1.0);
+            for rate in [P::OnAcceleration, P::OffDeceleration, P::Viscous, P::SlipBand, P::WaveTime] {
+                if self.home.get(rate) > 0.0 {
+                    file.parameters.set(rate, self.home.get(rate));
+                }
+            }
+            starts.push(file);
+            if spec.sizes.iter().all(|s| s.step.abs() < 0.99 * s.scale) {
+                starts.push(at(0.4));
+            }
+        }
+        let value = |m: &Model| {
+            let free = self.free(m, &parts);
+            let prior: f64 = free.iter().map(|f| f.prior.log_density(m.parameters.get(f.parameter))).sum();
+            objective(self.problem, m, noise) - 2.0 * noise.variance * prior
+        };
+        let looked: Vec<Model> = starts.into_iter().map(|s| self.refitted(s, &parts, noise, 2)).collect();
+        let best = looked.into_iter().min_by(|a, b| value(a).total_cmp(&value(b)));
+        let model = best.unwrap_or(start);
+        let model = self.refitted(model, &parts, noise, 6);
+        self.weigh_set(parts, model, Some(root))
     }
 }
 
-fn conflict(a: &Effect, b: &Effect) -> bool {
-    a.conflicts.contains(&b.name) || b.conflicts.contains(&a.name)
+/// The index of a column, which is added if it is new.
+fn place(columns: &mut Vec<Column>, column: Column) -> usize {
+    columns.iter().position(|c| *c == column).unwrap_or_else(|| {
+        columns.push(column);
+        columns.len() - 1
+    })
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// What of a form is fitted.
+fn free_of(form: &Form) -> Vec<Free> {
+    let size = |s: &Size| Free {
+        parameter: s.parameter,
+        scale: if s.parameter == P::ClockError { s.scale.min(1e-3) } else { s.scale },
+        bounds: s.bounds,
+        // A number that lies in a range away from zero is there as a whole.
+        prior: Prior::Normal {
+            centre: if s.bounds.0 > 0.0 { 0.5 * (s.bounds.0 + s.bounds.1) } else { 0.0 },
+            sd: if s.bounds.0 > 0.0 { 0.15 } else { s.scale },
+        },
+    };
+    let shapes = form.shapes.iter().filter_map(|s| {
+        s.prior.map(|p| Free {
+            parameter: s.parameter,
+            scale: 0.5 * s.start,
+            bounds: s.bounds,
+            prior: Prior::log_normal(p.median, p.log_sd),
+        })
+    });
+    form.sizes.iter().map(size).chain(shapes).collect()
+}
 
-    fn finding(name: &str, status: Status, conflicts: &[&str]) -> Finding {
-        Finding {
-            name: name.into(),
-            status,
-            gain: 0.2,
-            gain_interval: [0.1, 0.3],
-            p_null: 0.002,
-            parameters: Vec::new(),
-            conflicts: conflicts.iter().map(|c| (*c).to_owned()).collect(),
-            next_experiment: String::new(),
-            share: 0.0,
-            note: String::new(),
+/// The model without an effect.
+pub fn strip(model: &Model, part: &Part) -> Model {
+    let mut m = model.clone();
+    let absent = Parameters::new(1.0, 1.0, 1.0, 0.0, 0.0);
+    for f in &part.free {
+        m.parameters.set(f.parameter, absent.get(f.parameter));
+    }
+    for shape in [P::RunoutSpeed, P::RunoutTorque, P::RunoutBrake] {
+        if part.phased.iter().any(|p| matches!(p, Phased::Runout(_))) {
+            m.parameters.set(shape, absent.get(shape));
         }
     }
-
-    /// Fails if a cause is named alone although one that looks like it could not be judged, or not named because of one that does not act
-    /// in such runs.
-    #[test]
-    fn what_cannot_be_judged_may_pose_as_a_cause() {
-        let refused =
-            [("dead-zone".to_owned(), "needs three duties".to_owned()), ("gravity-load".to_owned(), String::new())];
-        let mut findings =
-            vec![finding("start-delay", Status::Named, &[]), finding("direction-asymmetry", Status::Named, &[])];
-        doubt(&mut findings, &library(1888.0), &refused);
-        assert_eq!(
-            (findings[0].status, &findings[0].conflicts[..]),
-            (Status::Ambiguous, &["dead-zone".to_owned()][..])
-        );
-        assert!(findings[0].note.contains("needs three duties"), "{}", findings[0].note);
-        assert_eq!(findings[1].status, Status::Named);
-    }
-
-    fn trial(gain: f64) -> Trial {
-        // Twenty runs that all gain alike.
-        let pair = [1.0, (1.0 - gain).powi(2)];
-        Trial {
-            accepted: Accepted { effect: 0, free: Vec::new(), phased: Vec::new() },
-            model: Model { parameters: Parameters::new(3.6, 1888.0, 1888.0, 0.26, 0.02), terms: Vec::new() },
-            held: HeldOut { loss: vec![pair; 20], plain: vec![pair; 20], seconds: vec![1.0; 20] },
-            estimates: Vec::new(),
-            estimates_ok: true,
-            p_null: 0.002,
-        }
-    }
-
-    /// Fails if an effect is named that only mends the form of the one before it.
-    #[test]
-    fn a_later_effect_has_to_remove_more_than_a_difference_of_forms() {
-        // The first removed 80 %: a gain of 9 % of the rest is 4 % of that, one of 40 % is 16 %.
-        assert!(refusal(&trial(0.09), 1.0, false, 0.1, 1).is_none());
-        assert!(refusal(&trial(0.09), 0.2, false, 0.1, 1).is_some_and(|r| r.contains("4.3 %")));
-        assert!(refusal(&trial(0.4), 0.2, false, 0.1, 1).is_none());
-        assert!(refusal(&trial(0.4), 0.2, true, 0.1, 1).is_some());
-        assert!(refusal(&trial(0.04), 1.0, false, 0.1, 1).is_some());
-    }
-
-    /// Fails if something gets a name that is smaller than the rotor equation's own error: timed to a microsecond, everything is certain.
-    #[test]
-    fn less_than_the_equation_may_miss_is_no_effect() {
-        // A gain of 40 % on 1 rpm removes 0.8 rpm.
-        assert!(refusal(&trial(0.4), 1.0, false, 0.7, 1).is_none());
-        assert!(refusal(&trial(0.4), 1.0, false, 0.9, 1).is_some_and(|r| r.contains("0.800 rpm")));
-    }
-
-    /// Fails if an effect appears twice, or if its former partner stays ambiguous with nobody.
-    #[test]
-    fn a_rival_that_is_found_on_its_own_is_listed_once() {
-        let mut findings = vec![
-            finding("dead-zone", Status::Ambiguous, &["direction-asymmetry"]),
-            finding("direction-asymmetry", Status::Ambiguous, &["dead-zone"]),
-            finding("direction-asymmetry", Status::Named, &[]),
-        ];
-        settle(&mut findings);
-        assert_eq!(
-            findings,
-            [finding("dead-zone", Status::Named, &[]), finding("direction-asymmetry", Status::Named, &[])]
-        );
-    }
+    let zero = vec![vec![0.0; 2 * part.phased.len()]; m.terms.len()];
+    super::refit::put_coefficients(&mut m, &part.phased, &zero);
+    m
 }

@@ -14,12 +14,6 @@ use rayon::prelude::*;
 /// than any effect.
 const BLOCK: usize = 12;
 
-/// Rounds in which the amplitudes of phased pairs are found.
-const EXPECTATIONS: usize = 30;
-
-/// Least mean square of a phased coefficient, so that an absent one can be divided by.
-const LEAST_POWER: f64 = 1e-12;
-
 /// Columns that make up one candidate.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Group {
@@ -135,11 +129,6 @@ impl HeldOut {
     pub fn rmse(&self, with: usize) -> f64 {
         let seconds: f64 = self.seconds.iter().sum();
         (self.plain.iter().map(|p| p[with]).sum::<f64>() / seconds.max(1e-12)).sqrt()
-    }
-
-    /// Root of the mean squared error that the candidate removes, in rpm.
-    pub fn removed_rpm(&self) -> f64 {
-        (self.rmse(0).powi(2) - self.rmse(1).powi(2)).max(0.0).sqrt()
     }
 
     /// 95 % interval of how much larger `other`'s error is than this one's, resampling runs.
@@ -303,29 +292,14 @@ impl Grams {
         Self { columns, gain_column, runs, variance, gain_spread, ridge, prior: Vec::new(), folds }
     }
 
-    /// The same equations under a stated noise: variance of a weighted residual and relative spread of the run gains.
-    pub fn with_noise(mut self, variance: f64, gain_spread: f64) -> Self {
-        let k = self.gain_column * self.columns + self.gain_column;
-        for ridge in &mut self.ridge {
-            *ridge *= variance / self.variance;
-        }
-        let t = gain_spread * gain_spread;
-        for run in &mut self.runs {
-            run.gamma = t / (variance + t * run.g[k]);
-        }
-        self.variance = variance;
-        self.gain_spread = gain_spread;
-        self
-    }
-
     /// The divisions and the coefficients of `set` fitted in each.
     pub fn fold_fits(&self, set: &[usize]) -> Vec<(Fold, DVector<f64>)> {
         self.folds.iter().map(|f| (f.clone(), self.fit(&f.train, set))).collect()
     }
 
-    /// Squared residual of a mean run, in rpm²·s.
-    pub fn misfit_a_run(&self) -> f64 {
-        self.runs.iter().map(|r| r.yy).sum::<f64>() / self.runs.len().max(1) as f64
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.columns
     }
 
     /// Effective number of rows.
@@ -398,8 +372,7 @@ impl Grams {
             meat += &score * score.transpose();
         }
         let n = self.runs.len() as f64;
-        let k = set.len() as f64;
-        let correction = if n > k + 1.0 { n / (n - k) } else { n.max(2.0) };
+        let correction = if n > 1.0 { n / (n - 1.0) } else { 1.0 };
         // What the priors leave open is as unknown as what the runs scatter.
         let believed =
             DMatrix::from_fn(set.len(), set.len(), |i, j| if i == j { self.known(set[i]).noise } else { 0.0 });
@@ -515,9 +488,17 @@ impl Grams {
 
     /// Improvements of all groups on the measured data, and the null's largest improvement in each repetition.
     ///
-    /// A null data set keeps every residual but turns its sign: the gain of a run by one coin, what is left by a coin a
-    /// block. What repeats from run to run or lasts longer than a block is lost, the noise stays as it is.
-    pub fn screen(&self, base: &[usize], groups: &[Group], repetitions: usize, seed: u64) -> (Vec<f64>, Vec<f64>) {
+    /// A null data set keeps every residual but turns its sign: the gain of a run (one of `gains`, or its own where there are none) by
+    /// one coin, what is left by a coin a block. What repeats from run to run or lasts longer than a block is lost, the noise
+    /// stays as it is.
+    pub fn screen(
+        &self,
+        base: &[usize],
+        groups: &[Group],
+        gains: &[f64],
+        repetitions: usize,
+        seed: u64,
+    ) -> (Vec<f64>, Vec<f64>) {
         let base_plan = self.plan(base, &Group::Linear(Vec::new()));
         let plans: Vec<Plan> = groups.par_iter().map(|g| self.plan(base, g)).collect();
         let observed = self.observed_b();
@@ -527,20 +508,20 @@ impl Grams {
             .into_par_iter()
             .map(|k| {
                 let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_add(1 + k as u64));
-                let b = self.null_b(&mut rng);
+                let b = self.null_b(gains, &mut rng);
                 plans.iter().map(|p| self.improvement(p, &base_plan, &b, false)).fold(0.0, f64::max)
             })
             .collect();
         (improvements, null)
     }
 
-    fn null_b(&self, rng: &mut impl Rng) -> Vec<Vec<f64>> {
+    fn null_b(&self, gains: &[f64], rng: &mut impl Rng) -> Vec<Vec<f64>> {
         let mut coin = || if rng.random::<bool>() { 1.0 } else { -1.0 };
         self.runs
             .iter()
             .enumerate()
             .map(|(r, run)| {
-                let s = coin() * run.gain;
+                let s = coin() * gains.get(r).copied().unwrap_or(run.gain);
                 let mut b: Vec<f64> =
                     (0..self.columns).map(|i| s * run.g[i * self.columns + self.gain_column]).collect();
                 for block in &run.blocks {
@@ -615,88 +596,6 @@ impl Grams {
         out
     }
 
-    /// Amplitudes and per-run coefficients of phased pairs with the base fitted on all runs.
-    ///
-    /// The pairs of a run are fitted together, because in less than a turn one harmonic looks like another. What a run says little of
-    /// leans on the amplitude that all runs share, which comes from the same runs by expectation and maximisation. Of a single run the spread
-    /// of an amplitude is not known: it is 0.
-    pub fn fit_phased(&self, base: &[usize], pairs: &[[usize; 2]]) -> Vec<PhasedFit> {
-        let all: Vec<usize> = (0..self.runs.len()).collect();
-        let beta = self.fit(&all, base);
-        let b = self.observed_b();
-        let columns: Vec<usize> = pairs.concat();
-        let n = columns.len();
-        let known: Vec<(DMatrix<f64>, DVector<f64>)> = all
-            .iter()
-            .map(|&r| {
-                let g = DMatrix::from_fn(n, n, |i, j| self.g(r, columns[i], columns[j]));
-                let explained =
-                    |c: usize| -> f64 { base.iter().zip(beta.iter()).map(|(k, v)| self.g(r, c, *k) * v).sum() };
-                let rest = DVector::from_fn(n, |i, _| b[r][columns[i]] - explained(columns[i]));
-                (g, rest)
-            })
-            .collect();
-        // A run's say in the amplitude falls with the square of what noise does to its coefficients.
-        let weights: Vec<Vec<f64>> = known
-            .iter()
-            .map(|(g, _)| {
-                let tiny = DMatrix::from_diagonal_element(n, n, 1e-9 * g.trace() + 1e-300);
-                let inverse = (g + tiny).try_inverse().unwrap_or_else(|| DMatrix::zeros(n, n));
-                let noise = |k: usize| inverse[(2 * k, 2 * k)] + inverse[(2 * k + 1, 2 * k + 1)];
-                (0..pairs.len())
-                    .map(|k| 1.0 / noise(k).powi(2).max(1e-300))
-                    .map(|w| if w.is_finite() { w } else { 0.0 })
-                    .collect()
-            })
-            .collect();
-        let mut powers: Vec<f64> = pairs
-            .iter()
-            .map(|pair| {
-                let plans: Vec<PairPlan> = all.iter().map(|r| self.pair_plan(*r, base, *pair)).collect();
-                self.pair_power(&plans, &beta, &all, &b).max(LEAST_POWER)
-            })
-            .collect();
-        let variance = self.variance;
-        let mut fitted: Vec<(DVector<f64>, Vec<f64>)> = Vec::new();
-        for _ in 0..EXPECTATIONS {
-            fitted = known
-                .iter()
-                .map(|(g, rest)| {
-                    let believed =
-                        DMatrix::from_fn(n, n, |i, j| if i == j { 2.0 * variance / powers[i / 2] } else { 0.0 });
-                    let inverse = (g + believed).try_inverse().unwrap_or_else(|| DMatrix::zeros(n, n));
-                    let c = &inverse * rest;
-                    let of = |i: usize| c[i] * c[i] + variance * inverse[(i, i)];
-                    let power = (0..pairs.len()).map(|k| of(2 * k) + of(2 * k + 1)).collect();
-                    (c, power)
-                })
-                .collect();
-            for (k, power) in powers.iter_mut().enumerate() {
-                let total: f64 = weights.iter().map(|w| w[k]).sum();
-                let sum: f64 = fitted.iter().zip(&weights).map(|(f, w)| w[k] * f.1[k]).sum();
-                *power = (sum / total.max(1e-300)).max(LEAST_POWER);
-            }
-        }
-        (0..pairs.len())
-            .map(|k| {
-                // Leave-one-run-out spread of the amplitude.
-                let count = all.len() as f64;
-                let total: f64 = weights.iter().map(|w| w[k]).sum();
-                let jack: Vec<f64> = fitted
-                    .iter()
-                    .zip(&weights)
-                    .map(|(f, w)| {
-                        ((total * powers[k] - w[k] * f.1[k]) / (total - w[k]).max(1e-9 * total)).max(0.0).sqrt()
-                    })
-                    .collect();
-                let mean = jack.iter().sum::<f64>() / count;
-                let spread = (jack.iter().map(|a| (a - mean).powi(2)).sum::<f64>() * (count - 1.0) / count).sqrt();
-                let coefficients = fitted.iter().map(|(c, _)| [c[2 * k], c[2 * k + 1]]).collect();
-                PhasedFit { amplitude: powers[k].sqrt(), spread, coefficients }
-            })
-            .collect()
-    }
-
     /// Degrees of freedom each run spends on its phases when the amplitudes are known.
     pub fn phased_freedom(&self, pairs: &[[usize; 2]], amplitudes: &[f64]) -> Vec<f64> {
         (0..self.runs.len())
@@ -715,39 +614,6 @@ impl Grams {
             })
             .collect()
     }
-
-    /// Cosine of the angle between two groups' columns after the base is projected out: 1 means they cannot be told
-    /// apart near the present model.
-    pub fn alignment(&self, base: &[usize], first: &[usize], second: &[usize]) -> f64 {
-        let all: Vec<usize> = (0..self.runs.len()).collect();
-        let project = |a: usize, c: usize| {
-            let inverse = self.inverse(&all, base);
-            let va = DVector::from_fn(base.len(), |i, _| all.iter().map(|r| self.g(*r, base[i], a)).sum());
-            let vc = DVector::from_fn(base.len(), |i, _| all.iter().map(|r| self.g(*r, base[i], c)).sum());
-            all.iter().map(|r| self.g(*r, a, c)).sum::<f64>() - (inverse * vc).dot(&va)
-        };
-        let mut best: f64 = 0.0;
-        for a in first {
-            for c in second {
-                let d = project(*a, *a) * project(*c, *c);
-                if d > 0.0 {
-                    best = best.max((project(*a, *c) / d.sqrt()).abs());
-                }
-            }
-        }
-        best.min(1.0)
-    }
-}
-
-/// What a phased pair turned out to be.
-#[derive(Debug, Clone)]
-pub struct PhasedFit {
-    /// Common amplitude.
-    pub amplitude: f64,
-    /// Its standard error over runs.
-    pub spread: f64,
-    /// Cosine and sine coefficients of each run.
-    pub coefficients: Vec<[f64; 2]>,
 }
 
 struct FoldPlan {
@@ -790,42 +656,4 @@ impl PairPlan {
 /// Share of null repetitions that reach `value`, counting the data themselves.
 pub fn p_value(value: f64, null: &[f64]) -> f64 {
     (1 + null.iter().filter(|n| **n >= value).count()) as f64 / (1 + null.len()) as f64
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use rand_distr::StandardNormal;
-    use std::f64::consts::TAU;
-
-    /// Twenty runs of 0.7 turns at a speed of 1 with 30 % once and 10 % twice a turn, phases at random, noise of 2 %.
-    fn runs_of_less_than_a_turn() -> Vec<RunDesign> {
-        let mut rng = ChaCha8Rng::seed_from_u64(5);
-        (0..20)
-            .map(|_| {
-                let phases: [f64; 2] = [rng.random_range(0.0..TAU), rng.random_range(0.0..TAU)];
-                let rows = 400;
-                let (mut x, mut y) = (Vec::new(), Vec::new());
-                for k in 0..rows {
-                    let a = 0.7 * TAU * f64::from(k) / f64::from(rows);
-                    x.extend([1.0, a.cos(), a.sin(), (2.0 * a).cos(), (2.0 * a).sin()]);
-                    let wave = 0.3 * (a - phases[0]).cos() + 0.1 * (2.0 * a - phases[1]).cos();
-                    y.push(wave + 0.02 * rng.sample::<f64, _>(StandardNormal));
-                }
-                RunDesign { columns: 5, x, y, weight: vec![1.0; rows as usize], seconds: 1.0 }
-            })
-            .collect()
-    }
-
-    /// Fails if the harmonics of a run are fitted one by one: in less than a turn each takes part of the other.
-    #[test]
-    fn harmonics_of_less_than_a_turn_are_told_apart() {
-        let designs = runs_of_less_than_a_turn();
-        let everything = vec![Fold { train: (0..20).collect(), test: (0..20).collect() }];
-        let grams = Grams::new(&designs, 0, &[1.0, 0.3, 0.3, 0.3, 0.3], None, everything);
-        let fits = grams.fit_phased(&[0], &[[1, 2], [3, 4]]);
-        for (fit, truth) in fits.iter().zip([0.3, 0.1]) {
-            assert!((fit.amplitude / truth - 1.0).abs() < 0.2, "{} for {truth}", fit.amplitude);
-        }
-    }
 }

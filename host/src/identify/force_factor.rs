@@ -35,6 +35,17 @@ const RUN_UP_S: f64 = 0.5;
 /// Why no force factor could be had.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ForceFactorError {
+    /// A load that the motor cannot have turned against.
+    #[error(
+        "a speed under {load_nm} N m: the contact of this motor transmits {most_nm:.6} N m at most; is the unit N m, and \
+         the motor file's friction right?"
+    )]
+    Load {
+        /// The load, N·m.
+        load_nm: f64,
+        /// What the contact transmits, N·m.
+        most_nm: f64,
+    },
     /// Nothing to go by.
     #[error(
         "{0}: no speed run with a duty, a direction and at least 0.8 s of drive after the start: record some with `twum speed`"
@@ -235,6 +246,11 @@ pub fn identify(
         return Err(ForceFactorError::NoRuns(measurement.folder.display().to_string()));
     }
     scatter(&mut observed);
+    let contact = motor.parameters(flavour);
+    let most_nm = contact.friction * contact.preload_n * contact.contact_radius_m;
+    if let Some(beyond) = torque.loaded.iter().find(|l| l.load_nm.abs() >= most_nm) {
+        return Err(ForceFactorError::Load { load_nm: beyond.load_nm, most_nm });
+    }
     observed.extend(torque.loaded.iter().map(|l| Observed {
         id: format!("load {} N m", l.load_nm),
         duty: l.duty,

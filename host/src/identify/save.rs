@@ -3,7 +3,8 @@
 use super::{force_factor, friction, stator};
 use crate::model::motor::{Entry, Motor, MotorError};
 use crate::model::parameters::Flavour;
-use std::path::{Path, PathBuf};
+use crate::output::{self, Existing, OutputError};
+use std::path::Path;
 
 /// One parameter to write.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,13 +28,8 @@ pub enum SaveError {
     #[error(transparent)]
     Motor(#[from] MotorError),
     /// The file could not be written.
-    #[error("{}: {cause}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        cause: std::io::Error,
-    },
+    #[error(transparent)]
+    Write(#[from] OutputError),
     /// It could not be put as TOML.
     #[error("cannot write a motor as TOML")]
     Toml(#[from] toml::ser::Error),
@@ -79,10 +75,7 @@ pub fn save(path: &Path, base: &str, updates: &[Update]) -> Result<(), SaveError
     }
     let text = motor.to_toml()?;
     Motor::parse(&path.display().to_string(), &text)?;
-    let failed = |cause| SaveError::Write { path: path.to_owned(), cause };
-    let beside = path.with_extension("toml.new");
-    std::fs::write(&beside, text).map_err(failed)?;
-    std::fs::rename(&beside, path).map_err(failed)
+    Ok(if existing { output::rewrite(path, text) } else { output::write(path, text, Existing::Keep) }?)
 }
 
 /// A stator's parameters. In the thesis's reading Ms, Cs and Ks are η²L, η²R and η²/C. The physical reading keeps its

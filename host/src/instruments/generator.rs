@@ -108,7 +108,7 @@ impl Generator {
         self.scpi.send("OUTP OFF")?;
         self.scpi.send("OUTP:CH2 OFF")?;
         for query in ["OUTP?", "OUTP:CH2?"] {
-            self.scpi.wait(query, SETTING, "the output does not switch off: switch it off by hand", |a| !is_on(a))?;
+            self.scpi.wait(query, SETTING, "the output does not switch off: switch it off by hand", is_off)?;
         }
         Ok(())
     }
@@ -142,12 +142,43 @@ fn is_on(answer: &str) -> bool {
     answer.ends_with("ON") || answer.ends_with('1')
 }
 
+/// Whether an answer says that an output is off, and nothing else: a mere echo or noise switches nothing off.
+fn is_off(answer: &str) -> bool {
+    let value = answer.rsplit([':', ' ']).next().unwrap_or_default();
+    value.eq_ignore_ascii_case("OFF") || value == "0"
+}
+
 impl Drop for Generator {
     fn drop(&mut self) {
         if !self.off
             && let Err(error) = self.off()
         {
             eprintln!("warning: the generator's outputs could not be confirmed off ({error}): switch them off by hand");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_off_or_0_is_believed_to_be_off() {
+        for (answer, off) in [
+            ("OFF", true),
+            ("off", true),
+            ("0", true),
+            ("CH2:OFF", true),
+            ("OUTP 0", true),
+            ("ON", false),
+            ("1", false),
+            ("", false),
+            ("OUTP?", false),
+            ("RIGOL TECHNOLOGIES,DG1022", false),
+            ("0.000000e+00", false),
+            ("-113,\"Undefined header\"", false),
+        ] {
+            assert_eq!(is_off(answer), off, "{answer:?}");
         }
     }
 }

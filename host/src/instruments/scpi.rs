@@ -1,5 +1,6 @@
 //! SCPI over a USB test-and-measurement device file (`/dev/usbtmcN`) or raw TCP.
 
+use crate::input::printable;
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -9,6 +10,8 @@ use std::time::{Duration, Instant};
 const ANSWER: Duration = Duration::from_secs(5);
 /// Port on which Rigol instruments listen for raw SCPI.
 pub const RIGOL_PORT: u16 = 5555;
+/// Longest answer that is a line (bytes): settings and identities take tens.
+const LARGEST_LINE: usize = 4096;
 /// Largest block accepted (bytes).
 pub const LARGEST_BLOCK: usize = 64 << 20;
 /// Most bytes kept of an answer that does not end: a block with its header, and one read more.
@@ -192,6 +195,15 @@ impl Scpi {
                 let answer = std::mem::replace(&mut self.pending, rest);
                 return Ok(String::from_utf8_lossy(&answer).trim().to_owned());
             }
+            if self.pending.len() > LARGEST_LINE {
+                let shown = String::from_utf8_lossy(&self.pending[..40]).into_owned();
+                self.pending = Vec::new();
+                return Err(self.unexpected(
+                    command,
+                    &shown,
+                    "more than 4096 bytes without a line end: is this an instrument?",
+                ));
+            }
             let whole = self.receive(command, deadline)?;
             if whole && !self.pending.iter().all(u8::is_ascii_whitespace) && !self.pending.contains(&b'\n') {
                 // USB frames its messages: some Rigol answers come without a line end.
@@ -299,7 +311,7 @@ impl Scpi {
         InstrumentError::Answer {
             address: self.address.clone(),
             command: command.to_owned(),
-            answer: answer.to_owned(),
+            answer: printable(&answer.chars().take(200).collect::<String>()),
             expected: expected.into(),
         }
     }

@@ -163,6 +163,10 @@ fn converse(stream: TcpStream, state: &Mutex<State>, answers: Answers) {
     let _ = out.set_nodelay(true);
     for line in BufReader::new(stream).lines() {
         let Ok(line) = line else { return };
+        // A page in a browser speaks first of all HTTP: it is none of the bench's.
+        if line.trim_end().ends_with("HTTP/1.1") || line.trim_end().ends_with("HTTP/1.0") {
+            return;
+        }
         let answer = answers(&mut lock(state), line.trim());
         if let Some(mut bytes) = answer {
             bytes.push(b'\n');

@@ -131,6 +131,9 @@ pub fn run(
     if !file.metadata().map_err(failed)?.is_file() {
         return Err(SweepError::Plan(format!("{}: a sweep is written to an ordinary file", path.display())));
     }
+    if file.try_lock().is_err() {
+        return Err(SweepError::Plan(format!("{}: another sweep is writing it", path.display())));
+    }
     let done = resume(plan, path, &mut file)?;
     let todo: Vec<f64> = frequencies.iter().copied().filter(|f| !done.contains(&label(*f))).collect();
     let total = frequencies.len();

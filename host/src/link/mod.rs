@@ -6,6 +6,8 @@
 pub mod bench;
 mod commands;
 mod pty;
+mod readback;
+pub mod relay;
 mod serial;
 mod session;
 mod simulated;

@@ -1,4 +1,5 @@
 use super::{LinkError, Port};
+use crate::record::order::{Arrival, Order};
 use crate::record::store::{Sender, StoreError, Writer};
 use std::collections::VecDeque;
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -11,8 +12,6 @@ use twum_shared::message::{DeviceMessage, HostMessage, Pass, RunEnd};
 const KEEPALIVE: Duration = Duration::from_millis(100);
 /// An interruption is seen within this time.
 const INTERRUPTION: Duration = Duration::from_millis(10);
-/// Frames among which one that comes twice is known.
-const REMEMBERED: usize = 32;
 
 /// What a session saw, counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -38,7 +37,7 @@ pub struct Tally {
 impl Tally {
     /// Whether anything is missing.
     pub fn is_lossless(&self) -> bool {
-        self.lost == 0 && self.bad == 0 && self.reconnects == 0
+        self.lost == 0 && self.bad == 0 && self.reconnects == 0 && self.restarts == 0
     }
 }
 
@@ -89,8 +88,7 @@ pub struct Session<P: Port> {
     pub(super) pass: Option<Pass>,
     pub(super) holding: bool,
     sequence: u32,
-    /// The frames that came last, the newest at the end.
-    last: VecDeque<Header>,
+    order: Order,
     bytes: Vec<u8>,
     block: Vec<u8>,
     pub(super) inbox: VecDeque<Received>,
@@ -126,7 +124,7 @@ impl<P: Port> Session<P> {
             holding: false,
             // So that no other session's answers are taken for this one's.
             sequence: (random >> 32) as u32,
-            last: VecDeque::new(),
+            order: Order::default(),
             bytes: Vec::new(),
             block: Vec::new(),
             inbox: VecDeque::new(),
@@ -207,7 +205,7 @@ impl<P: Port> Session<P> {
         self.port = port;
         self.bytes.clear();
         self.block.clear();
-        self.last.clear();
+        self.order = Order::default();
         self.spoke = false;
         self.pass = None;
         self.tally.reconnects += 1;
@@ -341,7 +339,7 @@ impl<P: Port> Session<P> {
         let is_text = block.iter().all(|byte| (0x20..0x7f).contains(byte) || b"\r\n\t\x1b".contains(byte));
         match frame::decode::<DeviceMessage>(&mut block) {
             Ok((header, message)) => {
-                if self.count(header) {
+                if self.count(header, &message) {
                     self.inbox.push_back(Received { header, message });
                 }
                 Ok(())
@@ -352,7 +350,7 @@ impl<P: Port> Session<P> {
                 Ok(())
             }
             // The first block of a stream that was opened midway is the rest of a frame.
-            Err(_) if self.last.is_empty() && self.tally.received == 0 => Ok(()),
+            Err(_) if !self.order.has_begun() && self.tally.received == 0 => Ok(()),
             Err(_) => {
                 self.tally.bad += 1;
                 Ok(())
@@ -361,26 +359,20 @@ impl<P: Port> Session<P> {
     }
 
     /// Counts a frame; whether it is a new one.
-    fn count(&mut self, header: Header) -> bool {
-        if self.last.contains(&header) {
-            self.tally.duplicates += 1;
-            return false;
-        }
-        self.tally.received += 1;
-        if let Some(last) = self.last.back() {
-            let gap = header.sequence.wrapping_sub(last.sequence).wrapping_sub(1);
-            // Only a restart sets the board's clock or its sequence back.
-            if header.time_us < last.time_us || gap > u32::MAX / 2 {
-                self.tally.restarts += 1;
-            } else {
-                self.tally.lost += u64::from(gap);
-                self.tally.longest_gap = self.tally.longest_gap.max(u64::from(gap));
+    fn count(&mut self, header: Header, message: &DeviceMessage) -> bool {
+        match self.order.take(header, matches!(message, DeviceMessage::Hello(_))) {
+            Arrival::Again => {
+                self.tally.duplicates += 1;
+                return false;
+            }
+            Arrival::First => {}
+            Arrival::Restart => self.tally.restarts += 1,
+            Arrival::Next { missing } => {
+                self.tally.lost += u64::from(missing);
+                self.tally.longest_gap = self.tally.longest_gap.max(missing.into());
             }
         }
-        if self.last.len() == REMEMBERED {
-            self.last.pop_front();
-        }
-        self.last.push_back(header);
+        self.tally.received += 1;
         true
     }
 

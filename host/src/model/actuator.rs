@@ -65,7 +65,7 @@ impl Pwm {
         self.running = self.commanded;
     }
 
-    /// The duty the driver works with: quantised, less the dead zone.
+    /// The duty the driver works with: quantised, less the dead zone, bent at the top.
     fn effective(&self, duty: f64) -> f64 {
         let mut u = duty.clamp(0.0, 1.0);
         if let Some(e) = self.effects.duty_quantisation
@@ -75,8 +75,16 @@ impl Pwm {
         }
         if let Some(e) = self.effects.dead_zone {
             u = (u - e.threshold_duty).max(0.0);
+            if e.gate_duty > 0.0 {
+                u /= 1.0 + (-(duty - e.gate_duty) / e.gate_width).exp();
+            }
         }
-        u
+        if let Some(e) = self.effects.high_duty_saturation {
+            u /= 1.0 + e.bend * u * u;
+            u = u.min(1.0 - e.flat_top);
+            u /= 1.0 + u * e.inverse_us;
+        }
+        u.min(1.0)
     }
 
     /// Drives `plant` to `until_s`.

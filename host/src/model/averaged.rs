@@ -106,6 +106,7 @@ struct Coefficients {
     stribeck: f64,
     stribeck_speed_inv: f64,
     exponent: f64,
+    slip_excess: f64,
     bristle: (f64, f64),
     radius: f64,
     inertia_inv: f64,
@@ -134,7 +135,7 @@ impl Coefficients {
                 Flavour::Physical => contact.surface / contact.radius_m,
             },
             friction: p.friction * m.friction,
-            off_friction: p.off_friction * m.friction,
+            off_friction: p.off_friction * m.off_friction,
             preload: p.preload_n * m.preload,
             load: p.load_nm + m.load_nm,
             brake: m.brake_nm,
@@ -144,6 +145,7 @@ impl Coefficients {
             stribeck: m.stribeck_nm,
             stribeck_speed_inv: 1.0 / m.stribeck_rad_s,
             exponent: m.contact_exponent,
+            slip_excess: m.slip_excess,
             bristle: (m.bristle_nm_rad, m.bristle_nms_rad),
             radius: contact.radius_m,
             inertia_inv: 1.0 / p.rotor_inertia_kg_m2,
@@ -585,7 +587,10 @@ impl Averaged {
     fn accelerate(&self, field: &Field, speed: f64) -> (f64, f64) {
         let c = &self.coefficients;
         let Field { pressed: Pressed { phi, zeta, beta, .. }, sense, crest, limit, .. } = *field;
-        let (share, slope) = share(sense * speed / crest, phi, zeta, beta);
+        let (share, slope) = match c.slip_excess {
+            0.0 => share(sense * speed / crest, phi, zeta, beta),
+            excess => soft_share(sense * speed / crest, phi, zeta, beta, excess),
+        };
         let fading = (speed / CREEP_RAD_S).clamp(-1.0, 1.0);
         let brake = c.brake + c.off_brake * field.gone + self.stribeck(speed);
         let torque = sense * limit * share - c.rotational_damping * speed - c.load - brake * fading;
@@ -722,6 +727,24 @@ fn share(ratio: f64, phi: f64, zeta: f64, beta: f64) -> (f64, f64) {
     let psi = acos(ratio);
     let sin = (1.0 - ratio * ratio).sqrt();
     (2.0 * (sin - zeta * psi) / beta - 1.0, -2.0 * (ratio - zeta) / (beta * sin.max(1e-3)))
+}
+
+/// [`share`] of a soft contact, which takes a slip for a torque beyond the rigid one's: share(ratio + excess·balanced·s) = s, where
+/// `balanced` is the ratio at which the rigid contact gives none. The left side falls and the right one rises with s.
+fn soft_share(ratio: f64, phi: f64, zeta: f64, beta: f64, excess: f64) -> (f64, f64) {
+    let root = |low: f64, high: f64, f: &dyn Fn(f64) -> f64| {
+        let (mut low, mut high) = (low, high);
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if f(middle) > 0.0 { low = middle } else { high = middle }
+        }
+        0.5 * (low + high)
+    };
+    let balanced = root(zeta.clamp(-1.0, 1.0), 1.0, &|r| share(r, phi, zeta, beta).0).max(0.0);
+    let slip = excess * balanced;
+    let soft = root(-1.0, 1.0, &|s| share(ratio + slip * s, phi, zeta, beta).0 - s);
+    let slope = share(ratio + slip * soft, phi, zeta, beta).1;
+    (soft, slope / (1.0 - slip * slope))
 }
 
 /// The contact and the rates of one instant.

@@ -106,7 +106,7 @@ impl<const N: usize> Coefficients<N> {
             shape_inv: of(&|_, c| 1.0 / c.shape),
             radius: of(&|_, c| c.radius_m),
             friction: of(&|p, _| p.friction * m.friction),
-            off_friction: of(&|p, _| p.off_friction * m.friction),
+            off_friction: of(&|p, _| p.off_friction * m.off_friction),
             preload: of(&|p, _| p.preload_n * m.preload),
             load: of(&|p, _| p.load_nm + m.load_nm),
             rotor_mass_inv: of(&|p, _| 1.0 / p.rotor_mass_kg),

@@ -201,7 +201,7 @@ pub fn pieces(motor: &Motor) -> Result<Vec<Piece>, ConfigError> {
     let physical = motor.parameters(Flavour::Physical);
     // A driver that restarts fast: 48 rpm at 16 ms in the measured start, settled by 0.09 s.
     let settling = EffectSet {
-        frequency_settling: Some(FrequencySettling { detuning_hz: -700.0, tau_s: 0.03 }),
+        frequency_settling: Some(FrequencySettling { detuning_hz: -700.0, tau_s: 0.03, on_time: 0.0 }),
         ..EffectSet::default()
     };
     let fast = Parameters { force_factor_n_v: 0.12, ..physical };

@@ -153,7 +153,7 @@ impl Reversals {
         let turned = self.last != 0 && self.last != sense;
         self.last = sense;
         let Some(e) = effects.reversal_miscount.filter(|_| turned) else { return 0 };
-        self.owed += e.counts * f64::from(sense);
+        self.owed += e.counts * f64::from(sense) + e.drift;
         let whole = self.owed.trunc();
         self.owed -= whole;
         whole as i32

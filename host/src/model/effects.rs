@@ -74,11 +74,11 @@ pub enum EffectError {
         name: String,
     },
     /// The wrong number of values.
-    #[error("effect `{name}` takes {expected} values, not {given}")]
+    #[error("effect `{name}` takes 1 to {expected} values, not {given}")]
     Count {
         /// The effect.
         name: &'static str,
-        /// How many it takes.
+        /// How many it takes at most.
         expected: usize,
         /// How many came.
         given: usize,
@@ -139,17 +139,18 @@ macro_rules! effects {
         pub struct EffectSet { $( #[doc = concat!("`", $name, "`.")] pub $slot: Option<$type>, )+ }
 
         impl EffectSet {
-            /// Adds or replaces an effect by name, with its parameters in the order of its catalogue entry.
+            /// Adds or replaces an effect by name, with its parameters in the order of its catalogue entry; those left out at the
+            /// end keep their absent value.
             ///
             /// # Errors
-            /// When there is no such effect, the number of values is wrong, or one is outside its bounds.
+            /// When there is no such effect, there is no value or one too many, or one is outside its bounds.
             pub fn set(&mut self, name: &str, values: &[f64]) -> Result<(), EffectError> {
                 match name {
                     $( $name => {
                         check(&$type::INFO, values)?;
                         let mut values = values.iter().copied();
                         self.$slot = Some($type {
-                            $( $field: values.next().expect("check() counted them"), )+
+                            $( $field: values.next().unwrap_or($absent), )+
                         });
                         Ok(())
                     } )+
@@ -178,7 +179,7 @@ macro_rules! effects {
 }
 
 fn check(info: &EffectInfo, values: &[f64]) -> Result<(), EffectError> {
-    if values.len() != info.parameters.len() {
+    if values.is_empty() || values.len() > info.parameters.len() {
         return Err(EffectError::Count { name: info.name, expected: info.parameters.len(), given: values.len() });
     }
     for (parameter, &value) in info.parameters.iter().zip(values) {
@@ -211,6 +212,8 @@ effects! {
         shift_hz: "Hz", Linear, [-2000.0, 2000.0], 0.0, 200.0;
         /// Thermal time constant (s).
         tau_s: "s", Scale, [0.2, 3600.0], 10.0, 10.0;
+        /// Share of the warmth that is left at the start of the next run (1).
+        kept: "1", Linear, [0.0, 1.0], 1.0, 0.6;
     }
     /// At each start the driver's frequency is off its tracked value and comes back: detuning·exp(−t/τ).
     frequency_settling: FrequencySettling, "frequency-settling", Plant {
@@ -218,21 +221,30 @@ effects! {
         detuning_hz: "Hz", Linear, [-2000.0, 2000.0], 0.0, -400.0;
         /// Time constant (s).
         tau_s: "s", Scale, [0.002, 1.0], 0.03, 0.03;
+        /// 1 where only the time with the drive on counts, 0 where all time since the start does (1).
+        on_time: "1", Linear, [0.0, 1.0], 0.0, 0.0;
     }
     /// Coulomb friction in the measure in which the wave is gone, beyond what the contact itself has.
     off_phase_braking: OffPhaseBraking, "off-phase-braking", Plant {
         /// Friction torque (N·m).
         torque_nm: "N·m", Linear, [0.0, 0.1], 0.0, 1e-3;
     }
-    /// The wave loses amplitude as the duty grows: u/(1 + u/us), here as 1/us.
-    high_duty_saturation: HighDutySaturation, "high-duty-saturation", Plant {
+    /// More duty gives less and less drive: of a duty u, u/(1 + bend·u²), no more than 1 − flat_top, and of that u/(1 + u/us).
+    high_duty_saturation: HighDutySaturation, "high-duty-saturation", Actuator {
         /// 1/us (1).
-        inverse_us: "1", Linear, [-0.5, 3.0], 0.0, 0.3;
+        inverse_us: "1", Linear, [-0.5, 5.0], 0.0, 0.3;
+        /// Quadratic bend (1).
+        bend: "1", Linear, [0.0, 5.0], 0.0, 0.0;
+        /// Duty that is lost at the top (1).
+        flat_top: "1", Linear, [0.0, 0.6], 0.0, 0.0;
     }
-    /// Contact force ∝ depthⁿ, with the linear contact's stiffness at the depth of the linear steady wave.
+    /// Contact force ∝ depthⁿ, with the linear contact's stiffness at the depth of the linear steady wave. A soft contact also
+    /// creeps: it takes a slip to transmit a torque, beyond the one of the rigid contact.
     contact_stiffening: ContactStiffening, "contact-stiffening", Plant {
         /// n (1).
         exponent: "1", Linear, [0.5, 3.0], 1.0, 1.5;
+        /// Slip at the whole torque, as a share of the speed at none (1).
+        slip_band_excess: "1", Linear, [0.0, 5.0], 0.0, 0.5;
     }
     /// The two directions differ.
     direction_asymmetry: DirectionAsymmetry, "direction-asymmetry", Plant {
@@ -240,13 +252,36 @@ effects! {
         gain: "1", Linear, [-0.5, 0.5], 0.0, 0.05;
         /// The same of the friction (1).
         friction: "1", Linear, [-0.5, 0.5], 0.0, 0.1;
+        /// The same of the braking without a wave alone (1).
+        braking: "1", Linear, [-0.9, 0.9], 0.0, 0.0;
     }
-    /// The preload varies round the rotor: Fext·(1 + amplitude·cos(θ − phase)).
+    /// The preload varies round the rotor: Fext·(1 + r), r = Σ amplitude_k·cos(kθ − phase_k). What is known of its consequences
+    /// instead stands beside it: supply·(1 + on_voltage·r), friction·(1 + on_friction·r), the same of the braking without a wave.
     preload_runout: PreloadRunout, "preload-runout", Plant {
-        /// Relative variation (1).
+        /// Relative variation once a turn (1).
         amplitude: "1", Linear, [0.0, 0.8], 0.0, 0.1;
         /// Angle of the largest preload (rad).
         phase_rad: "rad", Angle, [-6.3, 6.3], 0.0, 1.0;
+        /// The same twice a turn (1).
+        amplitude_2: "1", Linear, [0.0, 0.8], 0.0, 0.0;
+        /// Its phase (rad).
+        phase_2_rad: "rad", Angle, [-6.3, 6.3], 0.0, 0.0;
+        /// Three times a turn (1).
+        amplitude_3: "1", Linear, [0.0, 0.8], 0.0, 0.0;
+        /// Its phase (rad).
+        phase_3_rad: "rad", Angle, [-6.3, 6.3], 0.0, 0.0;
+        /// Four times a turn (1).
+        amplitude_4: "1", Linear, [0.0, 0.8], 0.0, 0.0;
+        /// Its phase (rad).
+        phase_4_rad: "rad", Angle, [-6.3, 6.3], 0.0, 0.0;
+        /// How much of it acts on the preload (1).
+        on_preload: "1", Linear, [-5.0, 5.0], 1.0, 1.0;
+        /// On the supply (1).
+        on_voltage: "1", Linear, [-5.0, 5.0], 0.0, 0.0;
+        /// On the friction under drive (1).
+        on_friction: "1", Linear, [-5.0, 5.0], 0.0, 0.0;
+        /// On the braking without a wave (1).
+        on_braking: "1", Linear, [-5.0, 5.0], 0.0, 0.0;
     }
     /// Friction that fades with speed: torque·exp(−(v/vs)²).
     stribeck_friction: StribeckFriction, "stribeck-friction", Plant {
@@ -274,7 +309,7 @@ effects! {
         /// Relative sag under continuous drive (1).
         sag: "1", Linear, [-0.3, 0.6], 0.0, 0.1;
         /// Time constant of the supply (s).
-        tau_s: "s", Scale, [1e-4, 0.2], 5e-3, 5e-3;
+        tau_s: "s", Scale, [1e-4, 0.25], 5e-3, 5e-3;
     }
     /// The contact runs in: drive strength·(1 + gain·ln(1 + revolutions/r0)). Revolutions are carried from run to run in
     /// [`super::motor_plant::History`].
@@ -282,12 +317,17 @@ effects! {
         /// Gain (1).
         gain: "1", Linear, [-0.5, 0.5], 0.0, 0.03;
         /// r0 (revolutions).
-        revolutions: "rev", Scale, [0.1, 1e5], 10.0, 10.0;
+        revolutions: "rev", Scale, [0.01, 1e5], 10.0, 10.0;
     }
-    /// No motion below a duty: max(u − threshold, 0).
+    /// No motion below a duty: max(u − threshold, 0), or a gate that opens at a duty and then lets all of it through,
+    /// u/(1 + exp(−(u − gate_duty)/gate_width)).
     dead_zone: DeadZone, "dead-zone", Actuator {
         /// Duty at which the motor starts (1).
         threshold_duty: "1", Linear, [0.0, 0.6], 0.0, 0.05;
+        /// Duty at which the gate is half open; 0 is no gate (1).
+        gate_duty: "1", Linear, [0.0, 0.6], 0.0, 0.0;
+        /// How softly it opens (1).
+        gate_width: "1", Scale, [1e-4, 0.2], 0.02, 0.02;
     }
     /// The supply comes on late at each rise of the PWM.
     start_delay: StartDelay, "start-delay", Actuator {
@@ -299,22 +339,37 @@ effects! {
         /// Step, 1/N (1).
         step: "1", Linear, [0.0, 0.5], 0.0, 0.03125;
     }
-    /// The encoder's disc is off centre: θ + amplitude·sin(θ − phase).
+    /// The encoder's disc is off centre or uneven: θ + Σ amplitude_k·sin(kθ − phase_k).
     encoder_eccentricity: EncoderEccentricity, "encoder-eccentricity", Sensor {
         /// Angle error (rad).
         amplitude_rad: "rad", Linear, [0.0, 0.2], 0.0, 0.01;
         /// Phase (rad).
         phase_rad: "rad", Angle, [-6.3, 6.3], 0.0, 1.0;
+        /// Angle error twice a turn (rad).
+        amplitude_2_rad: "rad", Linear, [0.0, 0.05], 0.0, 0.0;
+        /// Its phase (rad).
+        phase_2_rad: "rad", Angle, [-6.3, 6.3], 0.0, 0.0;
+        /// Three times a turn (rad).
+        amplitude_3_rad: "rad", Linear, [0.0, 0.03], 0.0, 0.0;
+        /// Its phase (rad).
+        phase_3_rad: "rad", Angle, [-6.3, 6.3], 0.0, 0.0;
+        /// Four times a turn (rad).
+        amplitude_4_rad: "rad", Linear, [0.0, 0.02], 0.0, 0.0;
+        /// Its phase (rad).
+        phase_4_rad: "rad", Angle, [-6.3, 6.3], 0.0, 0.0;
     }
-    /// Light and dark differ in width: every other edge is late by a share of the pitch.
+    /// Light and dark differ in width: the edges at which a high slot begins, in the positive sense, are late by a share of the
+    /// pitch. High slots are 1 − offset pitches wide, low ones 1 + offset: the `high_slot_excess` of a diagnosis is −offset.
     unequal_edges: UnequalEdges, "unequal-edges", Sensor {
         /// Shift of the odd edges, in pitches (1).
         offset: "1", Linear, [-0.9, 0.9], 0.0, 0.1;
     }
-    /// The recorder's clock is off: recorded time = true time·(1 + error).
+    /// The recorder's clock is off: recorded time = t·(1 + error + drift·t/2).
     clock_error: ClockError, "clock-error", Sensor {
         /// Relative error (1).
         error: "1", Linear, [-0.2, 0.2], 0.0, 5e-3;
+        /// Change of the error (1/s); it ends where the error would reach a half.
+        drift_per_s: "1/s", Linear, [-0.05, 0.05], 0.0, 0.0;
     }
     /// Stretches of the record are lost and what follows moves up: `length_s` missing at `first_s` and every `every_s` after
     /// (in the recorder's time; 0 means once).
@@ -330,6 +385,8 @@ effects! {
     reversal_miscount: ReversalMiscount, "reversal-miscount", Sensor {
         /// Counts added a reversal, positive in the new direction (1).
         counts: "counts", Linear, [-8.0, 8.0], 0.0, 1.0;
+        /// Counts added a reversal whatever its sense (1).
+        drift: "counts", Linear, [-8.0, 8.0], 0.0, 0.0;
     }
     /// Lost motion between rotor and encoder.
     backlash: Backlash, "backlash", Sensor {
@@ -349,6 +406,48 @@ effects! {
         ki: "1", Linear, [-1.0, 1000.0], 0.0, 1.0;
         /// Factor on kd, less 1 (1).
         kd: "1", Linear, [-1.0, 1000.0], 0.0, 1.0;
+    }
+}
+
+impl PreloadRunout {
+    /// The relative variation at an angle of the rotor (rad).
+    pub fn relative(&self, angle_rad: f64) -> f64 {
+        let harmonics = [
+            (self.amplitude, self.phase_rad),
+            (self.amplitude_2, self.phase_2_rad),
+            (self.amplitude_3, self.phase_3_rad),
+            (self.amplitude_4, self.phase_4_rad),
+        ];
+        let mut k = 0.0;
+        let mut sum = 0.0;
+        for (amplitude, phase) in harmonics {
+            k += 1.0;
+            if amplitude != 0.0 {
+                sum += amplitude * (k * angle_rad - phase).cos();
+            }
+        }
+        sum
+    }
+}
+
+impl EncoderEccentricity {
+    /// What the disc shows too much at an angle of its shaft (rad).
+    pub fn error_rad(&self, shaft_rad: f64) -> f64 {
+        let harmonics = [
+            (self.amplitude_rad, self.phase_rad),
+            (self.amplitude_2_rad, self.phase_2_rad),
+            (self.amplitude_3_rad, self.phase_3_rad),
+            (self.amplitude_4_rad, self.phase_4_rad),
+        ];
+        let mut k = 0.0;
+        let mut sum = 0.0;
+        for (amplitude, phase) in harmonics {
+            k += 1.0;
+            if amplitude != 0.0 {
+                sum += amplitude * (k * shaft_rad - phase).sin();
+            }
+        }
+        sum
     }
 }
 
@@ -376,9 +475,10 @@ mod tests {
     fn effects_are_set_by_name_and_checked() {
         let mut set = EffectSet::default();
         set.set("dead-zone", &[0.1]).unwrap();
-        assert_eq!(set.dead_zone, Some(DeadZone { threshold_duty: 0.1 }));
-        assert_eq!(set.present()[0].1, vec![0.1]);
-        assert!(matches!(set.set("dead-zone", &[0.1, 0.2]), Err(EffectError::Count { .. })));
+        assert_eq!(set.dead_zone, Some(DeadZone { threshold_duty: 0.1, ..DeadZone::ABSENT }));
+        assert_eq!(set.present()[0].1, vec![0.1, 0.0, 0.02]);
+        assert!(matches!(set.set("dead-zone", &[0.1, 0.2, 0.02, 0.0]), Err(EffectError::Count { .. })));
+        assert!(matches!(set.set("dead-zone", &[]), Err(EffectError::Count { .. })));
         assert!(matches!(set.set("dead-zone", &[2.0]), Err(EffectError::OutOfBounds { .. })));
         assert!(matches!(set.set("dead-zone", &[f64::NAN]), Err(EffectError::OutOfBounds { .. })));
         assert!(matches!(set.set("dead", &[2.0]), Err(EffectError::Unknown { .. })));

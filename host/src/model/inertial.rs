@@ -32,8 +32,8 @@ impl InertialParameters {
 const LONGEST_S: f64 = 1e-3;
 
 /// An ordinary motor behind the plant seam. The plant effects that are not about a wave act on it too: direction-asymmetry,
-/// gravity-load, stribeck-friction, off-phase-braking (while the input is 0), high-duty-saturation, supply-sag, run-in-wear
-/// and preload-runout (as a torque that varies round the rotor).
+/// gravity-load, stribeck-friction, off-phase-braking (while the input is 0), supply-sag, run-in-wear and preload-runout (as a
+/// torque that varies round the rotor).
 #[derive(Debug, Clone)]
 pub struct InertialPlant {
     parameters: InertialParameters,
@@ -66,15 +66,12 @@ impl InertialPlant {
         let mut torque = p.gain_nm * drive.level * sense;
         let mut load = 0.0;
         let mut limit = p.coulomb_nm;
-        if let Some(e) = e.high_duty_saturation {
-            torque /= 1.0 + drive.duty * e.inverse_us;
-        }
         if let Some(e) = e.direction_asymmetry {
             torque *= 1.0 + sense * e.gain;
             limit *= 1.0 + sense * e.friction;
         }
         if let Some(e) = e.preload_runout {
-            torque *= 1.0 + e.amplitude * (self.position_rad - e.phase_rad).cos();
+            torque *= 1.0 + e.relative(self.position_rad);
         }
         if let Some(e) = e.supply_sag {
             torque *= 1.0 - e.sag * self.current;

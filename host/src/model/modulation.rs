@@ -11,10 +11,14 @@ pub struct Modulation {
     pub resonance_shift_hz: f64,
     /// Factor on the preload (1).
     pub preload: f64,
-    /// Factor on both coefficients of friction (1).
+    /// Factor on the friction under a wave (1).
     pub friction: f64,
+    /// Factor on the friction without one (1).
+    pub off_friction: f64,
     /// Exponent of the contact's force over its depth; 1 is the linear contact. Averaged model only.
     pub contact_exponent: f64,
+    /// Slip a soft contact needs for the whole torque, as a share of the speed at none (1). Averaged model only.
+    pub slip_excess: f64,
     /// Added load torque, against positive rotation (N·m).
     pub load_nm: f64,
     /// Added Coulomb friction, against the motion (N·m).
@@ -39,7 +43,9 @@ impl Modulation {
         resonance_shift_hz: 0.0,
         preload: 1.0,
         friction: 1.0,
+        off_friction: 1.0,
         contact_exponent: 1.0,
+        slip_excess: 0.0,
         load_nm: 0.0,
         brake_nm: 0.0,
         off_brake_nm: 0.0,

@@ -399,6 +399,23 @@ impl Motor {
         Ok(effect_set(&listed))
     }
 
+    /// What a recording keeps of a motor: the name of a shipped one, or the content of a motor file, which may be changed or
+    /// gone when the recording is read.
+    ///
+    /// # Errors
+    /// As [`Motor::load`].
+    pub fn kept(name_or_path: &str) -> Result<String, MotorError> {
+        if SHIPPED.iter().any(|(name, _)| *name == name_or_path) {
+            return Ok(name_or_path.to_owned());
+        }
+        let motor = Self::load(name_or_path)?;
+        let text = input::text(Path::new(name_or_path), input::WRITTEN)
+            .map_err(|reason| MotorError::Read { file: name_or_path.into(), reason })?;
+        // A name has no line end, the content of a file always one.
+        debug_assert!(!motor.name.contains('\n'));
+        Ok(format!("{}\n", text.trim_end()))
+    }
+
     /// The 30 mm PCBMotor.
     pub fn pcbmotor_30mm() -> Self {
         Self::shipped("pcbmotor-30mm").expect("the shipped file is checked by a test")

@@ -33,6 +33,10 @@ const RESTART_S: f64 = 0.1;
 /// A stretch of drive shorter than this is a control tick, not a part of a PWM period: it will not come again unless the rotor
 /// stops (s).
 const WORTH_REMEMBERING_S: f64 = 5.1e-4;
+/// A runout of several harmonics leaves at least this share of what it acts on (1).
+const LEAST_FACTOR: f64 = 0.02;
+/// A settling this slow (s) may be held over the on part of a 50 Hz period at its value in the middle: half a per cent of it.
+const SETTLES_SLOWLY_S: f64 = 0.05;
 /// Longest step while an effect changes the motor (s); an angle-dependent one sees 0.2° at full speed.
 const LONGEST_S: f64 = 1e-3;
 
@@ -53,6 +57,8 @@ pub struct MotorPlant {
     /// When the drive began, and when it was last on (s).
     began_s: f64,
     last_on_s: f64,
+    /// Time driven since the drive began (s).
+    driven_s: f64,
     /// Longest step (s): infinite where no effect needs one.
     longest_s: f64,
     /// Whether any effect of the plant is present.
@@ -79,15 +85,19 @@ impl MotorPlant {
             || effects.supply_sag.is_some()
             || effects.run_in_wear.is_some();
         let fixed = effects.off_phase_braking.is_some()
-            || effects.high_duty_saturation.is_some()
             || effects.contact_stiffening.is_some()
             || effects.direction_asymmetry.is_some()
             || effects.stribeck_friction.is_some()
             || effects.presliding.is_some();
         let averaged = matches!(solver, Solver::Averaged).then(|| Averaged::new(parameters, flavour));
         // What changes within one part of a period has to be integrated through it.
-        let quick = effects.supply_sag.is_some() || effects.frequency_settling.is_some_and(|e| e.tau_s < 0.01);
-        let blends = moving && !quick && flavour == Flavour::Physical && effects.presliding.is_none();
+        let quick =
+            effects.supply_sag.is_some() || effects.frequency_settling.is_some_and(|e| e.tau_s < SETTLES_SLOWLY_S);
+        // Nor has the blend's grid an axis for a friction that varies.
+        let rubs = effects.preload_runout.is_some_and(|e| e.on_friction != 0.0 || e.on_braking != 0.0);
+        let blends = moving && !quick && !rubs && flavour == Flavour::Physical && effects.presliding.is_none();
+        let left = effects.resonance_heating.map_or(1.0, |e| e.kept);
+        let history = History { warmth: left * history.warmth, ..history };
         MotorPlant {
             blend: averaged.as_ref().filter(|_| blends).map(|model| Box::new(Blend::new(model))),
             last_turn_rad: 0.0,
@@ -100,6 +110,7 @@ impl MotorPlant {
             current: 0.0,
             began_s: 0.0,
             last_on_s: f64::NEG_INFINITY,
+            driven_s: 0.0,
             longest_s: if moving { LONGEST_S } else { f64::INFINITY },
             changes: moving || fixed,
         }
@@ -134,32 +145,37 @@ impl MotorPlant {
         }
     }
 
-    fn modulation(&self, drive: Drive, angle: f64) -> Modulation {
+    fn modulation(&self, drive: Drive, time: f64, angle: f64) -> Modulation {
         let e = &self.effects;
-        let time = self.time_s();
         let sense = drive.sign();
         let mut m = Modulation::NONE;
         if let Some(e) = e.resonance_heating {
             m.resonance_shift_hz -= e.shift_hz * self.history.warmth;
         }
         if let Some(e) = e.frequency_settling {
-            m.drive_shift_hz += e.detuning_hz * (-(time - self.began_s).max(0.0) / e.tau_s).exp();
+            let since_s = if e.on_time > 0.5 { self.driven_s } else { time - self.began_s };
+            m.drive_shift_hz += e.detuning_hz * (-since_s.max(0.0) / e.tau_s).exp();
         }
         if let Some(e) = e.off_phase_braking {
             m.off_brake_nm += e.torque_nm;
         }
-        if let Some(e) = e.high_duty_saturation {
-            m.voltage /= 1.0 + drive.duty * e.inverse_us;
-        }
         if let Some(e) = e.contact_stiffening {
             m.contact_exponent = e.exponent;
+            m.slip_excess = e.slip_band_excess;
         }
         if let Some(e) = e.direction_asymmetry {
             m.voltage *= 1.0 + sense * e.gain;
             m.friction *= 1.0 + sense * e.friction;
+            m.off_friction *= (1.0 + sense * e.friction) * (1.0 + sense * e.braking);
         }
         if let Some(e) = e.preload_runout {
-            m.preload *= 1.0 + e.amplitude * (angle - e.phase_rad).cos();
+            // As far as a preload can fall and a friction rise.
+            let r = e.relative(angle);
+            let factor = |share: f64| (1.0 + share * r).clamp(LEAST_FACTOR, 1.0 / LEAST_FACTOR);
+            m.preload *= factor(e.on_preload);
+            m.voltage *= factor(e.on_voltage);
+            m.friction *= factor(e.on_friction);
+            m.off_friction *= factor(e.on_braking);
         }
         if let Some(e) = e.stribeck_friction {
             m.stribeck_nm = e.torque_nm;
@@ -189,7 +205,9 @@ impl MotorPlant {
             return false;
         }
         let ahead_rad = if drive.level > 0.0 { 0.5 * self.last_turn_rad * drive.sign() } else { 0.0 };
-        let modulation = self.modulation(drive, self.position_rad() + ahead_rad);
+        // What changes within the stretch is taken at its middle.
+        let middle_s = 0.5 * (self.time_s() + until_s);
+        let modulation = self.modulation(drive, middle_s, self.position_rad() + ahead_rad);
         let before = (self.time_s(), self.position_rad());
         let (Some(blend), Model::Averaged(model)) = (&mut self.blend, &mut self.model) else { return false };
         if !blend.advance(model, until_s, drive, &modulation, observe) {
@@ -213,6 +231,9 @@ impl MotorPlant {
             self.current = drive.level + (self.current - drive.level) * (-h / e.tau_s).exp();
         }
         if drive.level > 0.0 {
+            self.driven_s += h;
+        }
+        if drive.level > 0.0 || drive.duty > 0.0 {
             self.last_on_s = self.time_s();
         }
     }
@@ -241,14 +262,16 @@ impl Plant for MotorPlant {
     }
 
     fn advance(&mut self, until_s: f64, drive: Drive, observe: &mut dyn FnMut(&Segment)) {
-        if drive.level > 0.0 && self.time_s() - self.last_on_s > RESTART_S {
+        // The driver starts with the PWM, whose period may begin with its off part.
+        if (drive.level > 0.0 || drive.duty > 0.0) && self.time_s() - self.last_on_s > RESTART_S {
             self.began_s = self.time_s();
+            self.driven_s = 0.0;
         }
         let now_s = self.time_s();
         if until_s - now_s > WORTH_REMEMBERING_S && self.blended(until_s, drive, observe) {
             return;
         }
-        let modulation = self.modulation(drive, self.position_rad());
+        let modulation = self.modulation(drive, self.time_s(), self.position_rad());
         if let (Model::Averaged(model), true) = (&mut self.model, self.longest_s.is_infinite())
             && (until_s - now_s > WORTH_REMEMBERING_S || model.stops())
         {
@@ -259,7 +282,11 @@ impl Plant for MotorPlant {
             return;
         }
         loop {
-            let modulation = if self.changes { self.modulation(drive, self.position_rad()) } else { Modulation::NONE };
+            let modulation = if self.changes {
+                self.modulation(drive, self.time_s(), self.position_rad())
+            } else {
+                Modulation::NONE
+            };
             let longest = self.longest_s;
             let mut last = None;
             let mut watch = |segment: &Segment| {

@@ -14,11 +14,11 @@ use thiserror::Error;
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Flavour {
-    /// The motor as measured: the listed equations, and a rotor that brakes partly while the drive is off
-    #[default]
-    Measured,
     /// The listing's errors put right: lighter stator, greater preload, and a rotor clamped while the drive is off
+    #[default]
     Physical,
+    /// The thesis's closed loop with the real motor: the listed equations, and a rotor that brakes partly while the drive is off
+    Measured,
     /// Formula for formula as the thesis lists it, errors included: the rotor coasts while the drive is off
     Thesis,
 }

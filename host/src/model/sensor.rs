@@ -55,7 +55,7 @@ impl Encoder {
     fn apparent(&self, shaft: f64) -> f64 {
         let shown = shaft + self.phase_rad;
         match self.effects.encoder_eccentricity {
-            Some(e) => shown + e.amplitude_rad * (shaft - e.phase_rad).sin(),
+            Some(e) => shown + e.error_rad(shaft),
             None => shown,
         }
     }
@@ -146,17 +146,24 @@ fn crossing(segment: &Segment, from_s: f64, to_s: f64, f: impl Fn(&Segment, f64)
         }
         (b, fb) = (c, fc);
     }
-    b.clamp(from_s, to_s)
+    // Not `clamp`, which panics where a rotor that ran away has no position any more.
+    b.max(from_s).min(to_s)
 }
 
 /// What the recorder makes of the edges: its clock, and what it loses. Leaves `edges` in order.
 pub fn record(edges: &mut Vec<Edge>, end_s: f64, effects: &EffectSet) -> f64 {
     let mut end_s = end_s;
     if let Some(e) = effects.clock_error {
+        // Beyond the time at which a drifting clock would be half wrong it stays so: time must go on.
+        let settled = if e.drift_per_s == 0.0 { f64::INFINITY } else { 0.5 / e.drift_per_s.abs() };
+        let recorded = |t: f64| {
+            let drifting = t.min(settled);
+            t * (1.0 + e.error) + e.drift_per_s * drifting * (t - 0.5 * drifting)
+        };
         for edge in edges.iter_mut() {
-            edge.time_s *= 1.0 + e.error;
+            edge.time_s = recorded(edge.time_s);
         }
-        end_s *= 1.0 + e.error;
+        end_s = recorded(end_s);
     }
     if let Some(e) = effects.dropped_samples
         && e.length_s > 0.0

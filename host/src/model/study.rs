@@ -49,6 +49,17 @@ pub enum SetupError {
         /// Largest admissible value.
         upper: f64,
     },
+    /// The load turns the rotor.
+    #[error(
+        "`Tload = {load_nm}` is not below the {stall_nm:.6} N·m that the contact transmits: the rotor would slide ever \
+         faster, which the model does not describe"
+    )]
+    RunsAway {
+        /// The load, N·m.
+        load_nm: f64,
+        /// What the contact transmits, N·m.
+        stall_nm: f64,
+    },
 }
 
 /// What a run at constant duty came to.
@@ -81,6 +92,18 @@ impl Setup {
             if !(lower..=upper).contains(&value) {
                 return Err(SetupError::OutOfBounds { name, value, lower, upper });
             }
+        }
+        Ok(())
+    }
+
+    /// Whether the contact holds the load. Beyond it the rotor slides ever faster, as the stall torque is found by.
+    ///
+    /// # Errors
+    /// [`SetupError::RunsAway`].
+    pub fn check_load(&self) -> Result<(), SetupError> {
+        let (load_nm, stall_nm) = (self.parameters.load_nm, self.stall_torque_nm());
+        if load_nm != 0.0 && load_nm.abs() >= stall_nm {
+            return Err(SetupError::RunsAway { load_nm, stall_nm });
         }
         Ok(())
     }

@@ -371,7 +371,7 @@ proptest! {
     }
 
     #[test]
-    fn effects_inside_their_bounds_never_panic(which in 0..CATALOGUE.len(), at in proptest::collection::vec(0.0..=1.0, 3)) {
+    fn effects_inside_their_bounds_never_panic(which in 0..CATALOGUE.len(), at in proptest::collection::vec(0.0..=1.0, 12)) {
         let info = &CATALOGUE[which];
         let values: Vec<f64> =
             info.parameters.iter().zip(at).map(|(p, t): (_, f64)| p.lower + t * (p.upper - p.lower)).collect();

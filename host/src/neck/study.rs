@@ -14,7 +14,7 @@ use crate::model::parameters::Flavour;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Most cases a study may have.
 const MOST_CASES: usize = 1_000_000;
@@ -174,11 +174,12 @@ impl Study {
     }
 
     /// Simulates every case on all cores. The rows come in the order of the lists, the last list fastest, whatever core
-    /// made them; `done` is told the number of cases finished so far.
+    /// made them; `done` is told the number of cases finished so far. Once `stop` is set no further case is begun, and the
+    /// rows are those of the cases that were.
     ///
     /// # Errors
     /// When an exercise or motor cannot be had. A case that cannot be simulated is a row that says why.
-    pub fn run(&self, done: impl Fn(usize) + Sync) -> Result<Vec<Row>, StudyError> {
+    pub fn run(&self, stop: &AtomicBool, done: impl Fn(usize) + Sync) -> Result<Vec<Row>, StudyError> {
         let cases = self.cases();
         if !(1..=MOST_CASES).contains(&cases) {
             return Err(StudyError::Cases(cases));
@@ -196,6 +197,9 @@ impl Study {
         let by_setup: Vec<Vec<Row>> = (0..setups)
             .into_par_iter()
             .map(|index| {
+                if stop.load(Ordering::Relaxed) {
+                    return Vec::new();
+                }
                 let rows = self.setup_rows(index, &motors, &exercises);
                 done(finished.fetch_add(rows.len(), Ordering::Relaxed) + rows.len());
                 rows
@@ -275,6 +279,8 @@ impl Study {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    static GO: AtomicBool = AtomicBool::new(false);
     use crate::neck::fixture::setup;
 
     fn small() -> Study {
@@ -294,7 +300,7 @@ mod tests {
     #[test]
     fn rows_come_in_the_order_of_the_lists_and_are_the_single_runs() {
         let done = AtomicUsize::new(0);
-        let rows = small().run(|finished| _ = done.fetch_max(finished, Ordering::Relaxed)).unwrap();
+        let rows = small().run(&GO, |finished| _ = done.fetch_max(finished, Ordering::Relaxed)).unwrap();
         assert_eq!((rows.len(), done.into_inner()), (8, 8));
         let keys: Vec<_> = rows.iter().map(|r| (r.exercise.as_str(), r.edges_per_rev, r.disturbance_deg)).collect();
         assert_eq!(
@@ -308,7 +314,7 @@ mod tests {
 
     #[test]
     fn cases_that_cannot_run_say_why_in_their_row() {
-        let rows = Study { disturbance_deg: vec![5.0, 1e3], ..small() }.run(|_| ()).unwrap();
+        let rows = Study { disturbance_deg: vec![5.0, 1e3], ..small() }.run(&GO, |_| ()).unwrap();
         assert!(rows[0].refused.is_empty() && rows[0].mse_m2.is_some());
         assert!(rows[1].refused.contains("disturbance amplitude 1000 is outside 0 to 90") && rows[1].mse_m2.is_none());
     }
@@ -316,9 +322,9 @@ mod tests {
     #[test]
     fn studies_that_cannot_be_made_are_refused() {
         let empty = Study { pwm_hz: Vec::new(), ..small() };
-        assert!(empty.run(|_| ()).unwrap_err().to_string().contains("0 cases"));
+        assert!(empty.run(&GO, |_| ()).unwrap_err().to_string().contains("0 cases"));
         let unknown = Study { exercises: vec!["nodding".to_owned()], ..small() };
-        assert!(unknown.run(|_| ()).unwrap_err().to_string().contains("no exercise `nodding`"));
+        assert!(unknown.run(&GO, |_| ()).unwrap_err().to_string().contains("no exercise `nodding`"));
         let error = Study::parse("edges = [1]", Path::new("mine.toml")).unwrap_err().to_string();
         assert!(error.contains("mine.toml") && error.contains("edges"), "{error}");
     }

@@ -5,10 +5,21 @@ use thiserror::Error;
 
 /// A record that would have more samples than fit.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
-#[error("{samples:.0} samples are asked for, {} are the most: take a longer period", MAX_LOADED_BYTES)]
+#[error(
+    "{samples:.0} samples are asked for, {most} are the most for its edges: take a longer period, or is a time wrong?"
+)]
 pub struct TooManySamples {
     /// Samples asked for.
     pub samples: f64,
+    /// The bound.
+    pub most: usize,
+}
+
+/// Most instants that a record of so many edges is sampled or estimated at: what is made of it is bounded by its size, not by
+/// the times in it. At 1 kHz 5 000 instants an edge are a turn in half an hour; the first million are a quarter of an hour in
+/// which nothing moves.
+pub fn most_instants(edges: usize) -> usize {
+    (1_000_000 + edges.saturating_mul(5_000)).min(MAX_LOADED_BYTES)
 }
 
 /// The edges of a sampled encoder line. An edge first seen at sample `k` happened after sample `k - 1`; its time is set to
@@ -35,12 +46,13 @@ pub fn to_edges(data: RunData) -> RunData {
 /// Data that are not edges come back as they are.
 ///
 /// # Errors
-/// More samples than a measurement folder may have ([`MAX_LOADED_BYTES`]).
+/// More samples than [`most_instants`].
 pub fn to_levels(data: RunData, period_us: f64) -> Result<RunData, TooManySamples> {
     let RunData::Edges { initial, start_us, edges, end_us } = data else { return Ok(data) };
     let samples = ((end_us - start_us) / period_us).floor() + 1.0;
-    if samples.is_nan() || samples > MAX_LOADED_BYTES as f64 {
-        return Err(TooManySamples { samples });
+    let most = most_instants(edges.len());
+    if samples.is_nan() || samples > most as f64 {
+        return Err(TooManySamples { samples, most });
     }
     let count = samples as usize;
     let mut level = initial;
@@ -91,7 +103,7 @@ mod tests {
     #[test]
     fn a_day_at_a_microsecond_is_refused_before_it_is_made() {
         let day = || RunData::Edges { initial: false, start_us: 0.0, edges: Vec::new(), end_us: 86_400e6 };
-        assert!(matches!(to_levels(day(), 1.0), Err(TooManySamples { samples }) if samples == 86_400e6 + 1.0));
+        assert!(matches!(to_levels(day(), 1.0), Err(TooManySamples { samples, .. }) if samples == 86_400e6 + 1.0));
         assert!(to_levels(day(), f64::NAN).is_err() && to_levels(day(), 0.0).is_err());
         assert_eq!(to_levels(day(), 1e6).unwrap().len(), 86_401);
     }

@@ -1,5 +1,6 @@
 //! From the raw frames of a recording to messages, with every loss counted.
 
+use super::order::{Arrival, Order};
 use super::protocol_1::{self, Recorded};
 use super::store::{Entry, Integrity, Metadata, Reader, Sender, StoreError};
 use serde::Serialize;
@@ -66,6 +67,8 @@ pub struct LinkStatistics {
     pub gaps: u64,
     /// Starts of the board.
     pub sessions: u32,
+    /// Frames of the board that came again and were dropped.
+    pub duplicates: u64,
 }
 
 /// Decodes a recording from beginning to end.
@@ -73,8 +76,7 @@ pub struct LinkStatistics {
 pub struct Decoder<S = File> {
     reader: Reader<S>,
     statistics: LinkStatistics,
-    /// Sequence and device time of the board's frame before.
-    last: Option<Header>,
+    order: Order,
 }
 
 impl Decoder<File> {
@@ -90,7 +92,7 @@ impl Decoder<File> {
 impl<S: Read + Seek> Decoder<S> {
     /// Decodes what a reader gives.
     pub fn new(reader: Reader<S>) -> Self {
-        Self { reader, statistics: LinkStatistics::default(), last: None }
+        Self { reader, statistics: LinkStatistics::default(), order: Order::default() }
     }
 
     /// What the recording says about itself.
@@ -126,8 +128,8 @@ impl<S: Read + Seek> Decoder<S> {
                 Some(Entry::Frame { bytes: [0], .. }) => continue,
                 Some(Entry::Frame { sender: Sender::Device, host_time_ns, bytes }) => match decode(bytes) {
                     Ok((header, message)) => {
+                        let Some(session) = self.track(header, &message) else { continue };
                         self.statistics.device_frames += 1;
-                        let session = self.track(header);
                         Item::Device { session, host_time_ns, header, message }
                     }
                     Err(error) => Item::Broken { sender: Sender::Device, host_time_ns, error },
@@ -145,20 +147,20 @@ impl<S: Read + Seek> Decoder<S> {
         }
     }
 
-    /// Keeps track of the board's sequence and clock; gives the session the frame belongs to.
-    fn track(&mut self, header: Header) -> u32 {
-        match self.last.replace(header) {
-            Some(last) if header.time_us >= last.time_us => {
-                // Half the range and more is a number that came twice or too late, not a gap.
-                let missing = header.sequence.wrapping_sub(last.sequence).wrapping_sub(1);
-                let missing = if missing < 1 << 31 { missing } else { 0 };
+    /// Keeps track of the board's sequence and clock; gives the session the frame belongs to, none if it came again.
+    fn track(&mut self, header: Header, message: &DeviceMessage) -> Option<u32> {
+        match self.order.take(header, matches!(message, DeviceMessage::Hello(_))) {
+            Arrival::Again => {
+                self.statistics.duplicates += 1;
+                return None;
+            }
+            Arrival::First | Arrival::Restart => self.statistics.sessions += 1,
+            Arrival::Next { missing } => {
                 self.statistics.missing_sequences += u64::from(missing);
                 self.statistics.gaps += u64::from(missing > 0);
             }
-            // Only a restart sets the board's clock back.
-            _ => self.statistics.sessions += 1,
         }
-        self.statistics.sessions.saturating_sub(1)
+        Some(self.statistics.sessions.saturating_sub(1))
     }
 }
 

@@ -6,6 +6,7 @@
 //! It is fed with messages and drawn a few times a second; nothing here waits, so that whoever records is never held up.
 
 use super::decode::LinkStatistics;
+use crate::input::printable;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
@@ -131,7 +132,7 @@ impl LiveView {
             }
             DeviceMessage::Nack { reason, .. } => self.note(format!("refused: {reason}")),
             DeviceMessage::Aligned => self.note("aligned".to_owned()),
-            DeviceMessage::Log(line) => self.note(line.as_str().to_owned()),
+            DeviceMessage::Log(line) => self.note(printable(line)),
             _ => {}
         }
     }

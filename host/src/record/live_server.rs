@@ -3,11 +3,13 @@
 //! What is sent is what the terminal shows: [`super::live::Point`]s and events. The server has threads of its own and drops what
 //! a slow listener does not take, so neither it nor a listener holds up whoever feeds the view.
 
+use super::gate;
 use super::live::LiveView;
 
 use foxglove::{
     ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema, WebSocketServer, WebSocketServerHandle,
 };
+use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 use thiserror::Error;
@@ -33,12 +35,14 @@ const LIVE_SCHEMA: &str = r#"{"type":"object","title":"twum.Live","properties":{
 #[error("cannot serve on {LOOPBACK}:{port}: {reason}; take another port")]
 pub struct LiveServerError {
     port: u16,
-    reason: FoxgloveError,
+    reason: String,
 }
 
 /// Serves a view to whoever connects from this machine.
 pub struct LiveServer {
-    handle: WebSocketServerHandle,
+    /// Dropped to end the server.
+    _handle: WebSocketServerHandle,
+    port: u16,
     /// Server and channels know each other through it, and hold it weakly.
     _context: Arc<Context>,
     live: Arc<RawChannel>,
@@ -55,7 +59,7 @@ impl LiveServer {
     /// # Errors
     /// When the port is in use or may not be taken.
     pub fn start(port: u16) -> Result<Self, LiveServerError> {
-        let failed = |reason| LiveServerError { port, reason };
+        let failed = |reason: FoxgloveError| LiveServerError { port, reason: reason.to_string() };
         let context = Context::new();
         let channel = |topic: &str, schema: Schema| {
             ChannelBuilder::new(topic)
@@ -67,14 +71,17 @@ impl LiveServer {
         };
         let live = channel(TOPIC_LIVE, Schema::new("twum.Live", "jsonschema", LIVE_SCHEMA.as_bytes()))?;
         let log = channel(TOPIC_LOG, Schema::new("foxglove.Log", "jsonschema", super::export::LOG_SCHEMA.as_bytes()))?;
-        let server = WebSocketServer::new().name("twum live").context(&context).bind(LOOPBACK, port);
+        let hidden = hidden_loopback();
+        let server = WebSocketServer::new().name("twum live").context(&context).bind(hidden.to_string(), 0);
         let handle = server.start_blocking().map_err(failed)?;
-        Ok(Self { handle, _context: context, live, log, sent_us: None, noted: 0 })
+        let port = gate::open(port, SocketAddr::from((hidden, handle.port())))
+            .map_err(|reason| LiveServerError { port, reason: reason.to_string() })?;
+        Ok(Self { _handle: handle, port, _context: context, live, log, sent_us: None, noted: 0 })
     }
 
     /// Where to connect to.
     pub fn address(&self) -> String {
-        format!("ws://{LOOPBACK}:{}", self.handle.port())
+        format!("ws://{LOOPBACK}:{}", self.port)
     }
 
     /// Sends what is new. The first listener gets the whole half minute that the view holds.
@@ -106,6 +113,13 @@ impl LiveServer {
             self.noted = noted;
         }
     }
+}
+
+/// A loopback address that no page can guess. Where the system has one address only, it is that one.
+fn hidden_loopback() -> Ipv4Addr {
+    let any = rand::random::<u32>().to_be_bytes();
+    let hidden = Ipv4Addr::new(127, any[0].clamp(1, 254), any[1], any[2].clamp(1, 254));
+    if cfg!(target_os = "linux") { hidden } else { Ipv4Addr::LOCALHOST }
 }
 
 #[cfg(test)]

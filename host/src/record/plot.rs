@@ -389,7 +389,8 @@ fn speed_panel(records: &[EncoderRecord], edges_per_rev: u32, span_s: f64) -> Pa
     for record in records {
         let Some(train) = record.train(edges_per_rev).filter(|train| train.edges.len() > 1) else { continue };
         let length_us = train.end_us - train.start_us;
-        let points = ((length_us * 1e-6 / span_s.max(1e-6) * SMOOTHED_POINTS as f64) as usize).max(2);
+        let share = length_us * 1e-6 / span_s.max(1e-6);
+        let points = ((share * SMOOTHED_POINTS as f64) as usize).clamp(2, SMOOTHED_POINTS);
         let at_us: Vec<f64> =
             (0..points).map(|index| train.start_us + length_us * index as f64 / (points - 1) as f64).collect();
         let Ok(smoothed) = smooth(&train, &at_us) else { continue };

@@ -6,10 +6,15 @@
 use super::load::{CUT_SHORT, LoadError, load_runs};
 use super::measurement::{Measurement, MeasurementError};
 use super::recording::Recording;
+use crate::input;
+use crate::output::{self, Existing, OutputError};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 use twum_shared::message::RunEnd;
+
+const RECORDINGS: &str = "recordings";
+const PLAN: &str = "plan.json";
 
 /// One run of a plan, as `plan.json` holds it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -50,14 +55,17 @@ pub enum SeriesError {
         /// What is wrong.
         reason: serde_json::Error,
     },
-    /// The system refused.
+    /// The folder cannot be made.
     #[error("{}: {reason}", path.display())]
     Io {
-        /// File or folder.
+        /// The folder.
         path: PathBuf,
         /// Why.
         reason: std::io::Error,
     },
+    /// A file cannot be written or renamed.
+    #[error(transparent)]
+    Output(#[from] OutputError),
     /// The recordings cannot be read.
     #[error(transparent)]
     Load(#[from] LoadError),
@@ -86,12 +94,12 @@ impl Series {
         if folder.exists() {
             return Err(SeriesError::Exists(folder.to_owned()));
         }
-        let recordings = folder.join("recordings");
+        let recordings = folder.join(RECORDINGS);
         std::fs::create_dir_all(&recordings).map_err(io(&recordings))?;
-        let path = folder.join("plan.json");
+        let path = folder.join(PLAN);
         let plan =
             serde_json::to_vec_pretty(&runs).map_err(|reason| SeriesError::Plan { path: path.clone(), reason })?;
-        std::fs::write(&path, plan).map_err(io(&path))?;
+        output::write(&path, plan, Existing::Keep)?;
         Ok(Self { folder: folder.to_owned(), runs })
     }
 
@@ -100,8 +108,8 @@ impl Series {
     /// # Errors
     /// When there is none, or another than the one asked for.
     pub fn resume(folder: &Path, asked: Option<&[SeriesRun]>) -> Result<Self, SeriesError> {
-        let path = folder.join("plan.json");
-        let text = std::fs::read(&path).map_err(|_| SeriesError::NoPlan(folder.to_owned()))?;
+        let path = folder.join(PLAN);
+        let text = input::bytes(&path, input::WRITTEN).map_err(|_| SeriesError::NoPlan(folder.to_owned()))?;
         let runs: Vec<SeriesRun> =
             serde_json::from_slice(&text).map_err(|reason| SeriesError::Plan { path, reason })?;
         // The last digit of a number may not survive being written.
@@ -112,8 +120,6 @@ impl Series {
         if asked.is_some_and(|asked| asked.len() != runs.len() || !asked.iter().zip(&runs).all(|(a, b)| same(a, b))) {
             return Err(SeriesError::AnotherPlan(folder.to_owned()));
         }
-        let recordings = folder.join("recordings");
-        std::fs::create_dir_all(&recordings).map_err(io(&recordings))?;
         Ok(Self { folder: folder.to_owned(), runs })
     }
 
@@ -122,9 +128,14 @@ impl Series {
         &self.runs
     }
 
+    /// Where the runs are recorded.
+    pub fn recordings(&self) -> PathBuf {
+        self.folder.join(RECORDINGS)
+    }
+
     /// Where a run is recorded.
     pub fn recording(&self, run: &SeriesRun) -> PathBuf {
-        self.folder.join("recordings").join(format!("{}.mcap", run.id))
+        self.recordings().join(format!("{}.mcap", run.id))
     }
 
     /// Whether a run was made to its end. What there is of one that was not is set aside under another name.
@@ -153,11 +164,11 @@ impl Series {
         let numbered = (2..).map(|n| path.with_extension(format!("{CUT_SHORT}-{n}.mcap")));
         let first = path.with_extension(format!("{CUT_SHORT}.mcap"));
         let free = std::iter::once(first).chain(numbered).find(|aside| !aside.exists());
-        free.map_or(Ok(()), |aside| std::fs::rename(&path, aside).map_err(io(&path)))
+        free.map_or(Ok(()), |aside| Ok(output::rename(&path, &aside)?))
     }
 
-    /// Makes the measurement of what was recorded to its end so far; one made of less is replaced. The notes say what the recordings lost.
-    /// None without a run.
+    /// Makes the measurement of what was recorded to its end so far; one made of less is put beside the recordings. The notes
+    /// say what the recordings lost. None without a run.
     ///
     /// # Errors
     /// When recordings cannot be read or the measurement cannot be written.
@@ -166,7 +177,7 @@ impl Series {
         if !any {
             return Ok((None, Vec::new()));
         }
-        let (mut whole, notes) = load_runs(&self.folder.join("recordings"))?;
+        let (mut whole, notes) = load_runs(&self.recordings())?;
         whole.name = self.folder.file_name().map_or_else(Default::default, |n| n.to_string_lossy().into_owned());
         for run in &mut whole.runs {
             run.file = format!("{}.csv", run.id);
@@ -174,17 +185,14 @@ impl Series {
             run.order = planned.and_then(|n| u32::try_from(n).ok());
         }
         let folder = self.folder.join("measurement");
-        let fresh = self.folder.join("measurement.new");
-        if fresh.exists() {
-            std::fs::remove_dir_all(&fresh).map_err(io(&fresh))?;
-        }
-        let mut saved = whole.save(&fresh)?;
         if folder.exists() {
-            std::fs::remove_dir_all(&folder).map_err(io(&folder))?;
+            // Somebody may have written into it.
+            let mut numbered = (1..).map(|n| self.recordings().join(format!("earlier-measurement-{n}")));
+            if let Some(earlier) = numbered.find(|earlier| !earlier.exists()) {
+                output::rename(&folder, &earlier)?;
+            }
         }
-        std::fs::rename(&fresh, &folder).map_err(io(&folder))?;
-        saved.folder = folder;
-        Ok((Some(saved), notes))
+        Ok((Some(whole.save(&folder)?), notes))
     }
 }
 

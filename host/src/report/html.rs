@@ -1,6 +1,7 @@
 //! Self-contained HTML pages: one file, readable offline, in light and dark.
 
 use super::figure::{Figure, FigureError};
+use crate::output::{self, Existing, OutputError};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -105,12 +106,12 @@ impl Page {
         )
     }
 
-    /// Writes the page to a file.
+    /// Writes the page to a file; a page that is there is replaced.
     ///
     /// # Errors
-    /// When the file cannot be written.
-    pub fn write(&self, path: impl AsRef<Path>) -> std::io::Result<()> {
-        std::fs::write(path, self.html())
+    /// When the file cannot be written, or holds something else than a page.
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<(), OutputError> {
+        output::write(path, self.html(), Existing::Keep)
     }
 
     fn element(mut self, tag: &str, text: &str) -> Self {

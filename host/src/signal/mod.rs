@@ -67,7 +67,8 @@ pub enum SignalError {
     Samples(#[from] crate::record::convert::TooManySamples),
     /// More PWM periods than can be simulated.
     #[error(
-        "it ends {periods:.0} PWM periods after t = 0, {most:.0} are the most to simulate: let its times begin at 0"
+        "it ends {periods:.0} PWM periods after t = 0, {most:.0} are the most to simulate for its samples: let its times \
+         begin at 0, or is one wrong?"
     )]
     TooLong {
         /// Periods from t = 0 to the end of the run.

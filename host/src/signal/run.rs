@@ -5,7 +5,7 @@ use super::smoother::smooth;
 use super::thesis::{self, ThesisEstimate};
 use super::window::{self, Order};
 use super::{RAD_S_TO_RPM, SignalError};
-use crate::record::convert::to_levels;
+use crate::record::convert::{most_instants, to_levels};
 use crate::record::measurement::{Direction, DriveResponse, Run, RunData, RunKind};
 
 /// Sampling period of the thesis's capture in µs (thesis, C.1), used where a record has none of its own.
@@ -179,12 +179,17 @@ fn grid(run: &Run, options: &Options, train: &EdgeTrain) -> Result<Vec<f64>, Sig
         RunData::Levels { period_us, .. } => *period_us,
         _ => THESIS_PERIOD_US,
     };
-    let period_us = options.period_us.unwrap_or(own);
+    let mut period_us = options.period_us.unwrap_or(own);
     super::check_positive("the period of the estimates (µs)", period_us)?;
-    let count = ((train.end_us - train.start_us) / period_us + 1e-6).floor() as usize + 1;
-    const MOST: usize = 100_000_000;
-    if count > MOST {
-        return Err(SignalError::TooMany { samples: count, most: MOST });
+    let span_us = train.end_us - train.start_us;
+    let mut count = (span_us / period_us + 1e-6).floor() as usize + 1;
+    let most = most_instants(train.edges.len()).max(run.data.len());
+    if count > most {
+        if options.period_us.is_some() {
+            return Err(SignalError::TooMany { samples: count, most });
+        }
+        // Hours in which nothing moves need no estimate every millisecond.
+        (count, period_us) = (most, span_us / (most - 1) as f64);
     }
     Ok((0..count).map(|i| train.start_us + i as f64 * period_us).collect())
 }

@@ -5,6 +5,9 @@ use super::spline::Spline;
 use super::thesis::LocalCubic;
 use super::{RAD_S_TO_RPM, SignalError};
 
+/// Longest window: two seconds at 1 kHz, more than one turn. Its work goes with the length of the record times its own.
+const MOST_SAMPLES: usize = 2_001;
+
 /// The polynomial fitted in the window. At the middle of a symmetric window a line has the slope of a parabola and a
 /// cubic that of a quartic, so these two are all there is below order five.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +32,9 @@ pub fn speed_rpm(
     order: Order,
 ) -> Result<Vec<f64>, SignalError> {
     super::check_positive("the sampling period (µs)", period_us)?;
+    if window > MOST_SAMPLES {
+        return Err(SignalError::TooMany { samples: window, most: MOST_SAMPLES });
+    }
     let time_s = |us: f64| (us - train.start_us) * 1e-6;
     let events_s: Vec<f64> = train.edges.iter().map(|e| time_s(e.middle_us())).collect();
     let events_rad: Vec<f64> = train.edges.iter().map(|e| e.boundary as f64 * train.pitch_rad).collect();

@@ -1,15 +1,17 @@
 use super::clock;
 use super::driver_board::{DriverBoard, DriverHealth};
+use super::flash::Flash;
 use super::motor::{FirstOrderMotor, SimulatedMotor};
-use super::pins::{Pins, Stage};
+use super::silicon::{Chip, Half, PadEdge, Silicon};
 use super::wire::{Uart, Wire};
 use crate::model::effects::EffectSet;
 use crate::model::plant::Segment;
 use crate::model::sensor::Encoder;
-use embassy_futures::join::join4;
+use embassy_futures::block_on;
+use embassy_futures::join::join5;
 use embedded_hal::digital::{ErrorType as PinErrorType, InputPin};
 use embedded_io_async::{ErrorType, Read, Write};
-use std::cell::{Cell, RefCell};
+use std::cell::Cell;
 use std::convert::Infallible;
 use std::future::Future;
 use std::pin::Pin;
@@ -21,9 +23,12 @@ use twum_firmware::Shared;
 use twum_firmware::control::Control;
 use twum_firmware::driver::{DriverPort, serve};
 use twum_firmware::encoder::EncoderInterrupt;
+use twum_firmware::fatal;
 use twum_firmware::link::{About, receive, transmit};
-use twum_firmware::output::Output;
+use twum_firmware::output::{Latch, Output};
 use twum_firmware::queues::Queues;
+use twum_firmware::stage::{self, Flags, Registers, Stage};
+use twum_firmware::store::{self, Store};
 use twum_firmware::watchdog::{Watchdog, supervise};
 use twum_shared::message::{Mode, ResetCause};
 use twum_shared::{Direction, Fault};
@@ -46,6 +51,8 @@ pub struct Setup {
     pub start_pitch: f64,
     /// What the board says it simulates: see [`super::Simulated`].
     pub simulates: String,
+    /// Whose modules drive the pins.
+    pub chip: Chip,
     /// The motor.
     pub motor: Box<dyn SimulatedMotor>,
     /// The encoder's own faults, if it has any.
@@ -66,6 +73,7 @@ impl Default for Setup {
             edges_per_rev: 400,
             start_pitch: 0.3,
             simulates: "simulated simple".to_owned(),
+            chip: Chip::default(),
             motor: Box::new(FirstOrderMotor::default()),
             encoder_effects: EffectSet::default(),
             driver: DriverHealth::Well,
@@ -85,20 +93,28 @@ pub enum Disturbance {
     Chatter(u32),
     /// The encoder line is dead.
     EncoderDead(bool),
+    /// The stop input is pulled low, or released.
+    StopInput(bool),
     /// A task asks for this fault, as it does when it meets it.
     Fault(Fault),
     /// The control interrupt no longer runs: the hardware watchdog has to act.
     ControlHung,
     /// The tasks no longer run: the hardware watchdog has to act.
     TasksHung,
-    /// The board restarts for this reason: a panic, whose handler switches off first; a supply that sags; the reset pin.
+    /// The board restarts for this reason: a supply that sags; the reset pin.
     Reset(ResetCause),
+    /// The firmware panics, in a task or in a control interrupt. The handler runs there until the board restarts; what else
+    /// the chip executes meanwhile goes on.
+    Panic(Half),
     /// The driver board's power is cycled.
     DriverPowerCycled,
 }
 
 /// A board that is asked to restart first sends what it has to say, for so long.
 const REBOOT_US: u64 = 20_000;
+
+/// A panic handler writes its message and backtrace for about so long before it restarts the chip.
+const PANIC_US: u64 = 600_000;
 
 /// Tasks ask to be polled through this.
 #[derive(Debug, Default)]
@@ -113,7 +129,8 @@ impl Wake for Flag {
 /// The driver board's wires, as the firmware sees them.
 struct DriverUart {
     uart: Uart,
-    pins: Rc<RefCell<Pins>>,
+    silicon: Silicon,
+    flags: &'static Flags,
 }
 
 impl ErrorType for DriverUart {
@@ -138,12 +155,12 @@ impl Write for DriverUart {
 
 impl DriverPort for DriverUart {
     fn to_text(&mut self) {
-        self.pins.borrow_mut().hardware = false;
+        stage::to_text(&self.silicon, self.flags);
         self.uart.rx.clear();
     }
 
     fn to_hardware(&mut self) {
-        self.pins.borrow_mut().hardware = true;
+        stage::to_hardware(&self.silicon, self.flags);
     }
 }
 
@@ -184,7 +201,9 @@ type Tasks = Pin<Box<dyn Future<Output = ()>>>;
 /// The firmware's part of a board, from one boot to the next.
 struct Firmware {
     shared: &'static Shared,
-    control: Control<'static, Stage>,
+    flags: &'static Flags,
+    latch: &'static Latch,
+    control: Control<'static, Stage<Silicon>>,
     interrupt: EncoderInterrupt<'static>,
     tasks: Tasks,
     woken: Arc<Flag>,
@@ -194,38 +213,45 @@ struct Firmware {
 
 impl Firmware {
     fn boot(
-        stage: Stage,
+        silicon: &Silicon,
         uart: Uart,
-        driver: DriverUart,
+        driver: Uart,
         pin: EncoderPin,
         fed: Rc<Cell<u64>>,
-        simulates: &str,
-        reset: ResetCause,
+        flash: Flash,
+        about: About,
     ) -> Self {
-        let output = Output::boot(stage);
         // A chip keeps these in static memory; a simulated boot leaks them (30 KB), which keeps every lifetime the chip's.
+        let flags: &'static Flags = Box::leak(Box::new(Flags::new()));
+        let latch: &'static Latch = Box::leak(Box::new(Latch::new()));
+        let output = Output::boot(Stage::new(silicon.clone(), flags), latch);
+        let driver = DriverUart { uart: driver, silicon: silicon.clone(), flags };
         let shared: &'static Shared = Box::leak(Box::new(Shared::new()));
         let queues: &'static mut Queues = Box::leak(Box::new(Queues::new()));
         let (control_ends, edges, transmit_ends) = queues.split();
-        let about = About {
-            firmware: heapless::String::try_from(env!("CARGO_PKG_VERSION")).unwrap_or_default(),
-            chip: shortened(simulates),
-            reset,
-        };
+        let mut control = Control::new(shared, control_ends, output, about.reset);
+        let mut store = Store::new(flash, Flash::RANGE).expect("the range is whole pages");
+        if let Some(configuration) = block_on(store.load()) {
+            // As on a chip: one that no longer validates leaves the board unconfigured.
+            let _ = control.restore(configuration);
+        }
         let receiver = uart.clone();
         let tasks: Tasks = Box::pin(async move {
-            join4(
+            join5(
                 receive(shared, receiver),
                 transmit(shared, transmit_ends, about, uart),
                 serve(shared, driver, pin),
                 supervise(shared, Feeder(fed)),
+                store::keep(shared, store),
             )
             .await;
         });
         let woken = Arc::new(Flag(AtomicBool::new(true)));
         Self {
             shared,
-            control: Control::new(shared, control_ends, output, reset),
+            flags,
+            latch,
+            control,
             interrupt: EncoderInterrupt::new(shared, edges),
             tasks,
             waker: Waker::from(woken.clone()),
@@ -246,9 +272,11 @@ impl Firmware {
 /// A simulated board with its driver board and motor. It lives on one thread: its clock is the thread's.
 pub struct Board {
     firmware: Firmware,
-    pins: Rc<RefCell<Pins>>,
+    chip: Chip,
+    silicon: Silicon,
     encoder_level: Rc<Cell<bool>>,
     fed_us: Rc<Cell<u64>>,
+    flash: Flash,
     to_board: Wire,
     from_board: Wire,
     driver_rx: Wire,
@@ -262,16 +290,18 @@ pub struct Board {
     late_us: u64,
     chatter: u32,
     encoder_dead: bool,
+    stop_input_low: bool,
     control_hung: bool,
     tasks_hung: bool,
     reboot_us: Option<u64>,
+    panicked: Option<(u64, Half)>,
 }
 
 impl Board {
     /// Switches a board on. Resets this thread's clock.
     pub fn new(setup: Setup) -> Self {
         clock::reset(setup.start_us);
-        let pins = Rc::new(RefCell::new(Pins::default()));
+        let silicon = Silicon::new(setup.chip, setup.start_us);
         let mut motor = setup.motor;
         let angle_rad = motor.advance(0.0, false, Direction::Cw);
         let pitch_rad = std::f64::consts::TAU / f64::from(setup.edges_per_rev);
@@ -283,12 +313,15 @@ impl Board {
         let (to_board, from_board) = (Wire::new(LINK_BAUD), Wire::new(LINK_BAUD));
         let (driver_rx, driver_tx) = (Wire::new(DRIVER_BAUD), Wire::new(DRIVER_BAUD));
         let wires = [&to_board, &from_board, &driver_rx, &driver_tx].map(Clone::clone);
-        let firmware = boot(&pins, &encoder_level, &fed_us, &wires, &setup.simulates, setup.reset);
+        let flash = Flash::erased();
+        let firmware = boot(&silicon, &encoder_level, &fed_us, &flash, &wires, &setup.simulates, setup.reset);
         Self {
             firmware,
-            pins,
+            chip: setup.chip,
+            silicon,
             encoder_level,
             fed_us,
+            flash,
             to_board,
             from_board,
             driver_rx,
@@ -302,9 +335,11 @@ impl Board {
             late_us: 0,
             chatter: 0,
             encoder_dead: false,
+            stop_input_low: false,
             control_hung: false,
             tasks_hung: false,
             reboot_us: None,
+            panicked: None,
         }
     }
 
@@ -328,9 +363,24 @@ impl Board {
         }
     }
 
-    /// Whether the pins hold the motor off.
+    /// Whether the pins hold the motor off, now and with the next PWM period.
     pub fn output_is_off(&self) -> bool {
-        self.pins.borrow().is_off()
+        self.silicon.is_disconnected() && (self.firmware.latch.is_shut() || !self.silicon.is_told_to_drive())
+    }
+
+    /// From now on, keeps the levels the PWM wire takes, for [`Board::pwm_edges`].
+    pub fn watch_pwm(&mut self) {
+        self.silicon.watch();
+    }
+
+    /// Whether the chip drives the PWM wire, high or low; else only the pull-up holds it.
+    pub fn pwm_is_driven(&self) -> bool {
+        self.silicon.is_driven()
+    }
+
+    /// The levels the PWM wire took since it is watched, the one it had then first.
+    pub fn pwm_edges(&self) -> Vec<PadEdge> {
+        self.silicon.edges()
     }
 
     /// The supervisor's state, seen from outside the link.
@@ -359,10 +409,12 @@ impl Board {
             Disturbance::LateTicks(late_us) => self.late_us = late_us,
             Disturbance::Chatter(edges) => self.chatter = edges,
             Disturbance::EncoderDead(dead) => self.encoder_dead = dead,
+            Disturbance::StopInput(low) => self.stop_input_low = low,
             Disturbance::Fault(fault) => self.firmware.shared.request_fault(fault),
             Disturbance::ControlHung => self.control_hung = true,
             Disturbance::TasksHung => self.tasks_hung = true,
             Disturbance::Reset(cause) => self.restart(cause),
+            Disturbance::Panic(half) => self.panic(half),
             Disturbance::DriverPowerCycled => self.driver = DriverBoard::new(self.driver.health),
         }
     }
@@ -374,26 +426,37 @@ impl Board {
 
     /// Runs until the device clock shows `until_us`.
     pub fn run_until(&mut self, until_us: u64) {
-        if !self.tasks_hung {
+        if self.tasks_run() {
             self.firmware.poll();
         }
         while clock::now_us() < until_us {
             let next_us = self.next_event_us().clamp(clock::now_us() + 1, until_us);
             self.move_plant(next_us);
             clock::set(next_us);
-            self.pins.borrow_mut().turn(next_us);
+            self.silicon.advance(next_us);
+            self.pwm_interrupt();
             self.turn_driver(next_us);
             if next_us >= self.firmware.next_tick_us + self.late_us {
                 self.tick(next_us);
             }
-            if !self.tasks_hung {
+            if self.tasks_run() {
                 self.firmware.poll();
             }
             if self.firmware.shared.reboot.try_take().is_some() {
                 self.reboot_us = Some(next_us + REBOOT_US);
             }
             if self.reboot_us.is_some_and(|at| at <= next_us) {
-                self.restart(ResetCause::Software);
+                let core = self.silicon.seen_by(Half::Tasks);
+                fatal::silence(&core, &self.silicon, self.firmware.flags, self.firmware.latch);
+                fatal::restart(&core);
+            }
+            if let Some((at_us, half)) = self.panicked
+                && at_us <= next_us
+            {
+                fatal::restart(&self.silicon.seen_by(half));
+            }
+            if self.silicon.take_reset() {
+                self.restart(if self.panicked.is_some() { ResetCause::Panic } else { ResetCause::Software });
             }
             if next_us.saturating_sub(self.fed_us.get()) > WATCHDOG_US {
                 self.restart(ResetCause::Watchdog);
@@ -407,7 +470,7 @@ impl Board {
         [
             Some(now_us + PLANT_STEP_US),
             Some(self.firmware.next_tick_us + self.late_us),
-            Some(self.pins.borrow().next_change_us(now_us)),
+            Some(self.silicon.next_event_us(now_us)),
             clock::next_timer_us(),
             driver,
         ]
@@ -419,11 +482,9 @@ impl Board {
 
     fn move_plant(&mut self, next_us: u64) {
         let now_us = clock::now_us();
-        let (drive_on, direction) = {
-            let pins = self.pins.borrow();
-            (pins.drive_on(now_us) && self.driver.hardware, pins.direction)
-        };
-        let (duty, period_s) = self.pins.borrow().pwm();
+        let direction = self.silicon.direction();
+        let drive_on = self.driver.hardware && !self.silicon.pwm_level();
+        let (duty, period_s) = self.silicon.pwm();
         self.motor.pwm(duty, period_s);
         let after = self.motor.advance((next_us - now_us) as f64 * 1e-6, drive_on, direction);
         self.encode(after, now_us, next_us, direction);
@@ -454,6 +515,38 @@ impl Board {
         }
     }
 
+    fn control_runs(&self) -> bool {
+        // The core that starts the other has to run for either to.
+        let started = self.silicon.executes(Half::Tasks) || self.panicked.is_some();
+        !self.control_hung && self.silicon.interruptible(Half::Control) && started
+    }
+
+    fn tasks_run(&self) -> bool {
+        // A handler in an interrupt of the tasks' own core keeps them from running.
+        let pre_empted = self.panicked.is_some() && self.chip != Chip::Esp32;
+        !self.tasks_hung && self.silicon.executes(Half::Tasks) && !pre_empted
+    }
+
+    /// What the chip's panic handler does, on the core it is called on.
+    fn panic(&mut self, half: Half) {
+        let core = self.silicon.seen_by(half);
+        fatal::silence(&core, &self.silicon, self.firmware.flags, self.firmware.latch);
+        // The handler stands where the panic was: one core has both halves, or the other core is stalled.
+        match half {
+            Half::Tasks => self.tasks_hung = true,
+            Half::Control => self.control_hung = true,
+        }
+        self.panicked = Some((clock::now_us() + PANIC_US, half));
+    }
+
+    /// The PWM unit's interrupt, which has the tick's priority.
+    fn pwm_interrupt(&mut self) {
+        if self.silicon.overflowed() && self.control_runs() {
+            self.silicon.clear_overflow();
+            self.firmware.control.period_began(clock::now_us());
+        }
+    }
+
     fn tick(&mut self, now_us: u64) {
         let due_us = self.firmware.next_tick_us;
         self.firmware.next_tick_us = due_us + u64::from(self.firmware.control.period_us());
@@ -461,13 +554,16 @@ impl Board {
         while self.firmware.next_tick_us <= now_us {
             self.firmware.next_tick_us += u64::from(self.firmware.control.period_us());
         }
-        if self.control_hung {
+        if !self.control_runs() {
             return;
+        }
+        if self.stop_input_low {
+            self.firmware.control.stop_input_is_low();
         }
         for _ in 0..self.chatter {
             let level = !self.encoder_level.get();
             self.encoder_level.set(level);
-            let direction = self.pins.borrow().direction;
+            let direction = self.silicon.direction();
             self.firmware.interrupt.edge(level, direction, now_us as u32);
         }
         let jitter_us = self.jitter_us();
@@ -489,32 +585,32 @@ impl Board {
         self.from_board.clear();
         self.control_hung = false;
         self.tasks_hung = false;
-        self.reboot_us = None;
+        (self.reboot_us, self.panicked) = (None, None);
         clock::forget_timers();
         self.fed_us.set(clock::now_us());
+        self.silicon.reset(self.chip, matches!(reset, ResetCause::Software | ResetCause::Panic));
         let wires = [&self.to_board, &self.from_board, &self.driver_rx, &self.driver_tx].map(Clone::clone);
-        self.firmware = boot(&self.pins, &self.encoder_level, &self.fed_us, &wires, &self.simulates, reset);
-        self.pins.borrow_mut().hardware = false;
+        self.firmware =
+            boot(&self.silicon, &self.encoder_level, &self.fed_us, &self.flash, &wires, &self.simulates, reset);
     }
 }
 
 fn boot(
-    pins: &Rc<RefCell<Pins>>,
+    silicon: &Silicon,
     level: &Rc<Cell<bool>>,
     fed_us: &Rc<Cell<u64>>,
+    flash: &Flash,
     [to_board, from_board, driver_rx, driver_tx]: &[Wire; 4],
     simulates: &str,
     reset: ResetCause,
 ) -> Firmware {
     let uart = Uart { rx: to_board.clone(), tx: from_board.clone() };
     let driver_uart = Uart { rx: driver_rx.clone(), tx: driver_tx.clone() };
-    Firmware::boot(
-        Stage { pins: pins.clone() },
-        uart,
-        DriverUart { uart: driver_uart, pins: pins.clone() },
-        EncoderPin(level.clone()),
-        fed_us.clone(),
-        simulates,
+    let pin = EncoderPin(level.clone());
+    let about = About {
+        firmware: heapless::String::try_from(env!("CARGO_PKG_VERSION")).unwrap_or_default(),
+        chip: shortened(simulates),
         reset,
-    )
+    };
+    Firmware::boot(silicon, uart, driver_uart, pin, fed_us.clone(), flash.clone(), about)
 }

@@ -6,12 +6,14 @@
 mod board;
 pub mod clock;
 mod driver_board;
+mod flash;
 mod hybrid;
 mod motor;
-mod pins;
+mod silicon;
 mod wire;
 
 pub use board::{Board, Disturbance, Setup};
 pub use driver_board::DriverHealth;
 pub use hybrid::{HybridMotor, NotOnABoard, Simulated};
 pub use motor::{FirstOrderMotor, SimulatedMotor};
+pub use silicon::{Chip, Half, PadEdge};

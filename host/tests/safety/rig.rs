@@ -98,7 +98,7 @@ impl Rig {
         let thread = std::thread::spawn(move || {
             let motor = Watched { motor: FirstOrderMotor::default(), now_s: 0.0, common: inner.clone() };
             let board = Board::new(Setup { motor: Box::new(motor), ..Setup::default() });
-            Server::new(board, (master, kept_open), started, inner).serve();
+            Server::new(board, master, kept_open, started, inner).serve();
         });
         Self { port, started, common, thread: Some(thread) }
     }
@@ -137,7 +137,9 @@ impl Drop for Rig {
 
 struct Server {
     board: Board,
-    line: Option<(TTYPort, std::fs::File)>,
+    line: Option<TTYPort>,
+    /// The other end stays open, so that its name is nobody else's while a program may still look for it.
+    _kept_open: std::fs::File,
     started: Instant,
     common: Arc<Mutex<Common>>,
     backlog: Vec<u8>,
@@ -152,10 +154,17 @@ struct Server {
 }
 
 impl Server {
-    fn new(board: Board, line: (TTYPort, std::fs::File), started: Instant, common: Arc<Mutex<Common>>) -> Self {
+    fn new(
+        board: Board,
+        line: TTYPort,
+        kept_open: std::fs::File,
+        started: Instant,
+        common: Arc<Mutex<Common>>,
+    ) -> Self {
         Self {
             board,
             line: Some(line),
+            _kept_open: kept_open,
             started,
             common,
             backlog: Vec::new(),
@@ -177,7 +186,7 @@ impl Server {
                 Some(what) => self.act(what),
                 None => {}
             }
-            if let Some((master, _)) = &mut self.line
+            if let Some(master) = &mut self.line
                 && let Ok(length) = master.read(&mut buffer)
             {
                 self.take(&buffer[..length]);
@@ -186,7 +195,7 @@ impl Server {
             self.board.run_until(self.started.elapsed().as_micros() as u64);
             self.count_runs();
             self.board.received(&mut self.backlog);
-            if let Some((master, _)) = &mut self.line
+            if let Some(master) = &mut self.line
                 && !self.backlog.is_empty()
                 && let Ok(written) = master.write(&self.backlog)
             {

@@ -1,7 +1,7 @@
 //! One answer held against what was hidden.
 
 use super::runner::Outcome;
-use crate::truth::Kind;
+use crate::truth::{Hidden, Kind};
 use serde_json::Value;
 
 /// Effects that the same data cannot tell apart in general: with one out of the library, the other stands for it.
@@ -148,8 +148,11 @@ impl Outcome {
 
 /// One line for the eye.
 pub fn line(o: &Outcome) -> String {
-    let hidden: Vec<String> =
-        o.truth.effects.iter().map(|e| format!("{} ({}, ρ {:.1})", e.name, e.form, e.rho)).collect();
+    // A closed loop's form is its whole controller, and its strength is not measured.
+    let told = |e: &Hidden| {
+        if e.rho > 0.0 { format!("{} ({}, ρ {:.1})", e.name, e.form, e.rho) } else { e.name.clone() }
+    };
+    let hidden: Vec<String> = o.truth.effects.iter().map(told).collect();
     format!(
         "{} {} {} {}: {} -> {} [{:.0} s]",
         if o.right() { "right" } else { "  -  " },

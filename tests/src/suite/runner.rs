@@ -13,8 +13,16 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// Longest that one diagnosis may take: a hundred times what one should.
-const PATIENCE: Duration = Duration::from_secs(900);
+/// Longest that one diagnosis may take: a hundred times what one should, for a machine with much else to do.
+const PATIENCE: Duration = Duration::from_secs(3600);
+
+/// Why there is no answer.
+enum Failure {
+    /// It took too long, which may be the machine's fault: no result, to be asked again another time.
+    TimedOut,
+    /// What the command said: a result.
+    Said(String),
+}
 
 /// What came out for one data set: a line of a results file.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -53,7 +61,7 @@ impl Runner {
     /// Files that cannot be read or written. A data set that cannot be made or diagnosed is a line that says so.
     pub fn run(&self, cases: &[Case]) -> Result<(), String> {
         std::fs::create_dir_all(&self.out).map_err(|e| format!("{}: {e}", self.out.display()))?;
-        let done: BTreeSet<Case> = read(&[self.out.clone()])?.iter().map(|o| case_of(&o.truth)).collect();
+        let done: BTreeSet<Case> = read(std::slice::from_ref(&self.out))?.iter().map(|o| case_of(&o.truth)).collect();
         let (part, of) = self.shard;
         let mine: Vec<&Case> =
             cases.iter().enumerate().filter(|(n, c)| n % of == part - 1 && !done.contains(c)).map(|(_, c)| c).collect();
@@ -93,7 +101,11 @@ impl Runner {
         let folder = self.out.join(format!("tmp-{}-{worker}-{name}", std::process::id()));
         let start = Instant::now();
         let without = (case.kind == Kind::Removed).then(|| made.truth.effects[0].name.clone());
-        let answered = made.folder.write(&folder).map_err(|e| e.to_string()).and_then(|()| self.ask(&folder, without));
+        let answered = made
+            .folder
+            .write(&folder)
+            .map_err(|e| Failure::Said(e.to_string()))
+            .and_then(|()| self.ask(&folder, without));
         let seconds = start.elapsed().as_secs_f64();
         let twin = case.kind == Kind::Single && self.twins > 0 && (case.seed / 16).is_multiple_of(self.twins);
         let clean_rmse_rpm = twin.then(|| self.clean(case, &folder)).flatten();
@@ -101,7 +113,11 @@ impl Runner {
         let _ = std::fs::remove_dir_all(&folder);
         let (answer, error) = match answered {
             Ok(answer) => (answer, None),
-            Err(error) => (Value::Null, Some(error)),
+            Err(Failure::Said(error)) => (Value::Null, Some(error)),
+            Err(Failure::TimedOut) => {
+                eprintln!("{name}: no answer within {} s", PATIENCE.as_secs());
+                return None;
+            }
         };
         Some(Outcome { truth: made.truth, answer, error, seconds, clean_rmse_rpm })
     }
@@ -113,7 +129,7 @@ impl Runner {
     }
 
     /// The command's answer on a folder, as a user would ask.
-    fn ask(&self, folder: &Path, without: Option<String>) -> Result<Value, String> {
+    fn ask(&self, folder: &Path, without: Option<String>) -> Result<Value, Failure> {
         let mut command = Command::new("nice");
         command.args(["-n", "10"]).arg(&self.twum).arg("diagnose").arg(folder).args(["--json", "--no-cache"]);
         if let Some(name) = without {
@@ -126,7 +142,7 @@ impl Runner {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
-            .map_err(|e| format!("{}: {e}", self.twum.display()))?;
+            .map_err(|e| Failure::Said(format!("{}: {e}", self.twum.display())))?;
         // Both pipes are emptied while it runs: a full one would stop it.
         let gathered = |mut pipe: Box<dyn std::io::Read + Send>| {
             std::thread::spawn(move || {
@@ -139,7 +155,7 @@ impl Runner {
         let err = gathered(Box::new(child.stderr.take().expect("it is piped")));
         let start = Instant::now();
         let status = loop {
-            match child.try_wait().map_err(|e| e.to_string())? {
+            match child.try_wait().map_err(|e| Failure::Said(e.to_string()))? {
                 Some(status) => break Some(status),
                 None if start.elapsed() > PATIENCE => {
                     let _ = child.kill();
@@ -151,9 +167,11 @@ impl Runner {
         };
         let (out, err) = (out.join().unwrap_or_default(), err.join().unwrap_or_default());
         match status {
-            Some(status) if status.success() => serde_json::from_str(&out).map_err(|e| format!("not JSON: {e}")),
-            Some(status) => Err(format!("{status}: {}", err.trim())),
-            None => Err(format!("no answer within {} s", PATIENCE.as_secs())),
+            Some(status) if status.success() => {
+                serde_json::from_str(&out).map_err(|e| Failure::Said(format!("not JSON: {e}")))
+            }
+            Some(status) => Err(Failure::Said(format!("{status}: {}", err.trim()))),
+            None => Err(Failure::TimedOut),
         }
     }
 }

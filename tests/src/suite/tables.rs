@@ -141,7 +141,7 @@ fn summary(outcomes: &[Outcome]) -> String {
     let percent = |v: Option<f64>| v.map_or("—".to_owned(), |v| format!("{:.0} %", 100.0 * v));
     row(&format!("error removed over what an oracle removes, median of {}", shares.len()), percent(at(0.5)), "≥ 90 %");
     row("the same, worst tenth", percent(at(0.1)), "≥ 60 %");
-    row("closed loops: right or in the set", Count::over(closed.iter().copied(), |o| closed_right(o)).text(), "≥ 85 %");
+    row("closed loops: right or in the set", Count::over(closed.iter().copied(), closed_right).text(), "≥ 85 %");
     row("closed loops: a wrong name", Count::over(closed.iter().copied(), wrong).text(), "0 %");
     t
 }

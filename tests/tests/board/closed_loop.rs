@@ -137,6 +137,8 @@ fn any_case() -> impl Strategy<Value = Case> {
 
 /// Length of a run, ms.
 const RUN_MS: u64 = 2_000;
+/// A run waits for a PWM period to begin, µs: 50 Hz.
+const PWM_PERIOD_US: u64 = 20_000;
 /// Fastest the rotor may turn here: full speed with its ripple, and somebody's hand, counts/s.
 const FASTEST_COUNTS_S: f64 = (6.0 * 1.12 + 4.0) / std::f64::consts::TAU * 400.0;
 
@@ -166,7 +168,7 @@ fn outcome(case: &Case) -> Result<(String, f64), TestCaseError> {
     };
     loop {
         let elapsed_us = bench.board().now_us() - start_us;
-        if elapsed_us > RUN_MS * 1_000 + 4 * period_us {
+        if elapsed_us > RUN_MS * 1_000 + PWM_PERIOD_US + 4 * period_us {
             break;
         }
         for (_, harm) in

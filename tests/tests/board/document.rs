@@ -21,26 +21,30 @@ pub fn record(name: &str, table: &str) {
     }
 }
 
-/// Compares what stands between `<!-- name -->` and `<!-- end -->` in docs/reliability.md with `table`; writes it there
-/// when `TWUM_WRITE_DOCS` is set.
+/// [`check_in`] docs/reliability.md.
 pub fn check(name: &str, table: &str) {
+    check_in("reliability.md", name, table);
+}
+
+/// Compares what stands between `<!-- name -->` and `<!-- end -->` in a document with `table`; writes it there when
+/// `TWUM_WRITE_DOCS` is set.
+pub fn check_in(document: &str, name: &str, table: &str) {
     // Two tests write the same file.
     static WRITING: std::sync::Mutex<()> = std::sync::Mutex::new(());
     let _one = WRITING.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-    let text = read("reliability.md");
+    let text = read(document);
     let mark = format!("<!-- {name} -->\n");
-    let start = text.find(&mark).unwrap_or_else(|| panic!("docs/reliability.md has no `{}`", mark.trim())) + mark.len();
+    let start = text.find(&mark).unwrap_or_else(|| panic!("docs/{document} has no `{}`", mark.trim())) + mark.len();
     let length = text[start..].find("<!-- end -->").expect("a table has an end");
     if text[start..start + length] == *table {
         return;
     }
     if std::env::var_os("TWUM_WRITE_DOCS").is_some() {
-        std::fs::write(path("reliability.md"), format!("{}{table}{}", &text[..start], &text[start + length..]))
-            .unwrap();
+        std::fs::write(path(document), format!("{}{table}{}", &text[..start], &text[start + length..])).unwrap();
         return;
     }
     panic!(
-        "docs/reliability.md, `{name}`, is not what was measured; `TWUM_WRITE_DOCS=1 cargo test -p twum-tests --test board` \
+        "docs/{document}, `{name}`, is not what was measured; `TWUM_WRITE_DOCS=1 cargo test -p twum-tests --test board` \
          writes it:\n{table}"
     );
 }

@@ -3,13 +3,16 @@
 mod bench;
 mod chaos;
 mod closed_loop;
+mod configuration;
 mod dead_encoder;
 mod document;
 mod faults;
 mod holding;
 mod link;
 mod recording;
+mod restart;
 mod runs;
 mod saturated_link;
+mod silicon;
 mod soak;
 mod text_mode;

@@ -8,8 +8,8 @@ pub mod map;
 
 use super::finding::{Estimate, Finding, Status, Unknown};
 use super::problem::RunDesign;
-use super::search::{LARGEST_P, LEAST_GAIN};
 use super::stats::{Fold, Grams, Group, HeldOut, p_value};
+use super::verdict::{LARGEST_P, LEAST_GAIN};
 use crate::record::measurement::{DriveResponse, Run, RunData};
 use map::{Map, Shape, Top, VALUES};
 use rand::{RngExt, SeedableRng};
@@ -452,6 +452,7 @@ pub fn search(runs: Vec<DriveRun>, repetitions: usize, seed: u64, without: &[Str
             let finding = Finding {
                 name: effect.name.to_owned(),
                 status,
+                probability: None,
                 gain: held[slot].gain(),
                 gain_interval: held[slot].gain_interval(seed),
                 p_null: p_value(candidate.improvement, &null),
@@ -570,10 +571,14 @@ fn left_over(pieces: &Pieces, maps: &[Map], y: &[Vec<f64>], repetitions: usize, 
     scales[0] = 1.0;
     let grams = Grams::new(&designs, 0, &scales, None, pieces.folds.clone());
     let flexible = Group::Linear((1..=HATS).collect());
-    let (improvement, null) = grams.screen(&[0], std::slice::from_ref(&flexible), repetitions, seed + 99);
+    let (improvement, null) = grams.screen(&[0], std::slice::from_ref(&flexible), &[], repetitions, seed + 99);
     let p = p_value(improvement[0], &null);
     let gain = grams.hold_out(&[0], &flexible).gain();
-    if p <= LARGEST_P && gain > 0.0 { vec![Unknown { lives_in: "input", gain, p_null: p }] } else { Vec::new() }
+    if p <= LARGEST_P && gain > 0.0 {
+        vec![Unknown { lives_in: "input", gain, share: 0.0, p_null: p }]
+    } else {
+        Vec::new()
+    }
 }
 
 /// Spread of second differences: what is left when neighbours agree.

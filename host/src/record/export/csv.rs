@@ -1,7 +1,8 @@
-use super::{ExportError, create_new, rows};
+use super::{ExportError, rows};
+use crate::output::{NewFolder, OutputError};
 use crate::record::recording::Recording;
 use serde::Serialize;
-use std::fs;
+use std::io;
 use std::io::Write;
 use std::path::Path;
 
@@ -11,34 +12,35 @@ use std::path::Path;
 /// # Errors
 /// When the folder exists and is not empty, or writing fails.
 pub fn write_csv(recording: &Recording, folder: &Path) -> Result<(), ExportError> {
-    let io_error = |reason| ExportError::Io { path: folder.to_owned(), reason };
-    fs::create_dir_all(folder).map_err(io_error)?;
-    if fs::read_dir(folder).map_err(io_error)?.next().is_some() {
-        return Err(ExportError::Exists(folder.to_owned()));
-    }
-    table(folder, "control.csv", rows::control(recording))?;
-    table(folder, "edges.csv", rows::edges(recording))?;
-    table(folder, "bits.csv", rows::levels(recording))?;
-    table(folder, "status.csv", rows::status(recording))?;
-    table(folder, "runs.csv", rows::runs(recording))?;
-    table(folder, "events.csv", rows::events(recording))
+    let mut folder = NewFolder::begin(folder)?;
+    table(&mut folder, "control.csv", rows::control(recording))?;
+    table(&mut folder, "edges.csv", rows::edges(recording))?;
+    table(&mut folder, "bits.csv", rows::levels(recording))?;
+    table(&mut folder, "status.csv", rows::status(recording))?;
+    table(&mut folder, "runs.csv", rows::runs(recording))?;
+    table(&mut folder, "events.csv", rows::events(recording))?;
+    Ok(folder.finish()?)
 }
 
 /// Writes rows under a header of their fields' names, which stands there without a row too.
-fn table<R: Serialize + Default>(folder: &Path, name: &str, rows: impl Iterator<Item = R>) -> Result<(), ExportError> {
-    let path = folder.join(name);
-    let failed = |reason: ::csv::Error| ExportError::Io { path: path.clone(), reason: reason.into() };
+fn table<R: Serialize + Default>(
+    folder: &mut NewFolder,
+    name: &str,
+    rows: impl Iterator<Item = R>,
+) -> Result<(), OutputError> {
     let mut example = ::csv::Writer::from_writer(Vec::new());
-    example.serialize(R::default()).map_err(failed)?;
+    example.serialize(R::default()).expect("a row has fields that a table can hold");
     let example = example.into_inner().unwrap_or_default();
     let header = example.split_inclusive(|byte| *byte == b'\n').next().unwrap_or_default();
-    let mut file = create_new(&path)?;
-    file.write_all(header).map_err(|reason| ExportError::Io { path: path.clone(), reason })?;
-    let mut out = ::csv::WriterBuilder::new().has_headers(false).from_writer(file);
-    for row in rows {
-        out.serialize(row).map_err(failed)?;
-    }
-    let mut file =
-        out.into_inner().map_err(|reason| ExportError::Io { path: path.clone(), reason: reason.into_error() })?;
-    file.flush().map_err(|reason| ExportError::Io { path, reason })
+    folder.file(name, |out| {
+        let write = || -> io::Result<()> {
+            out.write_all(header)?;
+            let mut table = ::csv::WriterBuilder::new().has_headers(false).from_writer(&mut *out);
+            for row in rows {
+                table.serialize(row)?;
+            }
+            table.flush()
+        };
+        write().map_err(|reason| out.failed(reason))
+    })
 }

@@ -1,6 +1,7 @@
 use super::ExportError;
 use crate::record::measurement::{
-    ControlGains, ControlRow, ControlSpec, Direction, LevelEdge, Measurement, Run, RunData, RunKind,
+    ControlGains, ControlRow, ControlSpec, Direction, LevelEdge, MAX_RECORD_S, MAX_TIME_US, Measurement, Run, RunData,
+    RunKind,
 };
 use crate::record::recording::{BitsSegment, Command, ControlSegment, EdgesSegment, RecordedRun, Recording, TimedEdge};
 use std::path::PathBuf;
@@ -68,16 +69,25 @@ pub fn to_measurement(
             if several {
                 id += &format!("-part{}", part + 1);
             }
-            runs.push(describe(Run::new(id, kind, data), index, run));
+            let described = describe(Run::new(id, kind, data), index, run);
+            let (start_us, end_us) = described.span_us();
+            if end_us - start_us > MAX_RECORD_S * 1e6 || end_us.abs() > MAX_TIME_US {
+                notes.push(format!("run {}: left out, its times span days: are they damaged?", index + 1));
+                continue;
+            }
+            runs.push(described);
         }
     }
     if runs.is_empty() {
         return Err(ExportError::NoRun);
     }
-    let configuration = recording.runs.iter().find_map(|run| run.configuration);
+    let configuration = recording.runs.iter().find_map(|run| run.configuration.filter(can_be));
     let measurement = Measurement {
         name: name.to_owned(),
-        motor: motor_name(&recording.metadata.motor),
+        motor: match recording.metadata.motor.as_str() {
+            "" => "pcbmotor-30mm".to_owned(),
+            motor => motor.to_owned(),
+        },
         edges_per_rev: configuration.map_or(400, |configuration| configuration.edges_per_rev.into()),
         runs,
         folder: PathBuf::new(),
@@ -85,10 +95,9 @@ pub fn to_measurement(
     Ok((measurement, notes))
 }
 
-/// A shipped set's name stands as it is; the content of a motor file has no name of its own here.
-fn motor_name(motor: &str) -> String {
-    let is_name = !motor.is_empty() && !motor.contains(['\n', '/', '\\']) && !motor.ends_with(".toml");
-    if is_name { motor.to_owned() } else { "pcbmotor-30mm".to_owned() }
+/// Whether a board can have run so: a recording whose bytes are damaged may say anything.
+fn can_be(configuration: &Configuration) -> bool {
+    configuration.pwm_hz > 0 && configuration.edges_per_rev > 0 && configuration.control.period_us > 0
 }
 
 fn run_id(index: usize, run: &RecordedRun) -> String {
@@ -106,7 +115,7 @@ fn describe(mut run: Run, index: usize, recorded: &RecordedRun) -> Run {
         run.duty = Some(duty(speed.duty));
         run.direction = Some(direction(speed.direction));
     }
-    if let Some(configuration) = recorded.configuration {
+    if let Some(configuration) = recorded.configuration.filter(can_be) {
         run.pwm_hz = configuration.pwm_hz.into();
         run.control = (run.kind == RunKind::Track).then(|| control_spec(&configuration)).flatten();
     }

@@ -1,4 +1,5 @@
-use super::{ExportError, create_new, rows};
+use super::{ExportError, rows};
+use crate::output::{Existing, Output};
 use crate::record::recording::{EventKind, Recording};
 use ::mcap::records::{MessageHeader, Metadata};
 use ::mcap::{McapError, WriteOptions};
@@ -13,12 +14,14 @@ use std::path::Path;
 /// host's by the frame that took least to arrive.
 ///
 /// # Errors
-/// When the file exists, or writing fails.
-pub fn write_mcap(recording: &Recording, path: &Path) -> Result<(), ExportError> {
-    let mut file = create_new(path)?;
-    write(recording, &mut file)
-        .and_then(|()| Ok(file.flush()?))
-        .map_err(|reason| ExportError::Mcap { path: path.to_owned(), reason })
+/// When the file exists and is to be kept, or writing fails.
+pub fn write_mcap(recording: &Recording, path: &Path, existing: Existing) -> Result<(), ExportError> {
+    let mut file = Output::begin(path, existing)?;
+    write(recording, &mut file).map_err(|reason| match reason {
+        McapError::Io(reason) => file.failed(reason).into(),
+        reason => ExportError::Mcap { path: path.to_owned(), reason },
+    })?;
+    Ok(file.finish()?)
 }
 
 /// Time in ns from the start of the recording, and the message.

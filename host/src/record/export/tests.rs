@@ -1,4 +1,5 @@
 use super::*;
+use crate::output::{Existing, OutputError};
 use crate::record::measurement::{ControlSpec, Direction, RunData, RunKind};
 use crate::record::recording::Recording;
 use crate::record::synthetic::{Line, bits_block, configured, control_blocks, edges_block};
@@ -84,9 +85,10 @@ fn the_decoded_mcap_is_read_by_the_containers_own_reader_with_its_schemas() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("out.mcap");
     let recording = recording(&dir);
-    write_mcap(&recording, &path).unwrap();
+    write_mcap(&recording, &path, Existing::Keep).unwrap();
     let bytes = std::fs::read(&path).unwrap();
-    assert!(matches!(write_mcap(&recording, &path), Err(ExportError::Exists(_))));
+    let error = write_mcap(&recording, &path, Existing::Keep).unwrap_err();
+    assert!(matches!(error, ExportError::Output(OutputError::Exists(_))), "{error}");
     assert_eq!(std::fs::read(&path).unwrap(), bytes, "an existing file was touched");
     let mut counts = std::collections::BTreeMap::new();
     let mut last_time = 0;

@@ -12,6 +12,9 @@ pub enum MeasurementError {
         /// The system's reason.
         reason: std::io::Error,
     },
+    /// A folder could not be written.
+    #[error(transparent)]
+    Output(#[from] crate::output::OutputError),
     /// The content of a file is wrong at one place.
     #[error("{}:{line}:{column}: {message}", path.display())]
     At {

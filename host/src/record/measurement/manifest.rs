@@ -51,7 +51,7 @@ pub(super) struct Entry {
 
 /// Whether a motor is named by a file rather than by a shipped set's name.
 pub(super) fn names_a_file(motor: &str) -> bool {
-    motor.contains(['/', '\\']) || motor.ends_with(".toml")
+    !motor.contains('\n') && (motor.contains(['/', '\\']) || motor.ends_with(".toml"))
 }
 
 /// What a measurement is read from: a folder, or anything else that holds texts by name.

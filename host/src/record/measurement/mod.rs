@@ -28,6 +28,8 @@ pub const MAX_LOADED_BYTES: usize = 1 << 30;
 pub const MAX_RUNS: usize = 10_000;
 /// Bound on the length of one record, in seconds: whoever resamples a record needs a bound on the result.
 pub const MAX_RECORD_S: f64 = 86_400.0;
+/// Largest absolute time of a sample, in µs: beyond it an f64 no longer resolves a fraction of a µs.
+pub const MAX_TIME_US: f64 = 1e15;
 /// Encoder edges a revolution of the 30 mm PCBMotor (thesis, A.7), assumed where nothing counts edges.
 pub const DEFAULT_EDGES_PER_REV: u32 = 400;
 /// PWM frequency of the driver board's hardware mode in Hz (thesis, C.1).
@@ -38,7 +40,8 @@ pub const DEFAULT_PWM_HZ: f64 = 50.0;
 pub struct Measurement {
     /// Free name, for people.
     pub name: String,
-    /// A shipped parameter set's name, or a path to a parameter file relative to the folder (see [`Self::motor_file`]).
+    /// A shipped parameter set's name, or a path to a parameter file relative to the folder (see [`Self::motor_file`]); of a
+    /// recording, the content of that file (see [`Self::motor_text`]).
     pub motor: String,
     /// Encoder edges (both directions of change counted) a revolution.
     pub edges_per_rev: u32,
@@ -293,6 +296,11 @@ impl Measurement {
     /// or when writing fails.
     pub fn save(&self, folder: impl AsRef<Path>) -> Result<Self, MeasurementError> {
         write::save(self, folder.as_ref())
+    }
+
+    /// The content of a motor file, when [`Self::motor`] is that: a recording keeps the file, not its name.
+    pub fn motor_text(&self) -> Option<&str> {
+        self.motor.contains('\n').then_some(&*self.motor)
     }
 
     /// The motor parameter file, when [`Self::motor`] is a path; `None` when it is the name of a shipped set.

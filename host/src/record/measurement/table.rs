@@ -1,16 +1,15 @@
 //! Text files read line by line, with bounds, and errors that name line and column.
 
 use super::{
-    ControlRow, Direction, DriveResponse, Format, LevelEdge, MAX_LOADED_BYTES, MAX_RECORD_S, MeasurementError, RunData,
+    ControlRow, Direction, DriveResponse, Format, LevelEdge, MAX_LOADED_BYTES, MAX_RECORD_S, MAX_TIME_US,
+    MeasurementError, RunData,
 };
-use std::fs::File;
+use crate::input;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// Longest line accepted, in bytes.
 const MAX_LINE: usize = 4096;
-/// Largest absolute time accepted, in µs: beyond it an f64 no longer resolves a fraction of a µs.
-const MAX_TIME_US: f64 = 1e15;
 
 /// What the files of one folder may still bring into memory.
 pub(super) struct Budget {
@@ -202,12 +201,7 @@ struct Clock {
 
 /// Opens a regular file.
 pub(super) fn open(path: &Path) -> Result<Box<dyn BufRead>, MeasurementError> {
-    let metadata = std::fs::metadata(path).map_err(|source| MeasurementError::io(path, source))?;
-    // A pipe or device in the place of a file would block or never end.
-    if !metadata.is_file() {
-        return Err(MeasurementError::whole(path, "not a regular file"));
-    }
-    let file = File::open(path).map_err(|source| MeasurementError::io(path, source))?;
+    let file = input::open(path).map_err(|source| MeasurementError::io(path, source))?;
     Ok(Box::new(BufReader::with_capacity(1 << 16, file)))
 }
 

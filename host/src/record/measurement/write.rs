@@ -2,74 +2,64 @@
 
 use super::manifest::{self, Entry, Manifest};
 use super::{ControlSpec, Direction, DriveResponse, MANIFEST, Measurement, MeasurementError, Run, RunData};
+use crate::input;
+use crate::output::{NewFolder, Output, OutputError};
 use std::collections::HashSet;
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::Path;
 use toml::Spanned;
 
 pub(super) fn save(measurement: &Measurement, folder: &Path) -> Result<Measurement, MeasurementError> {
-    let io_error = |source| MeasurementError::io(folder, source);
-    fs::create_dir_all(folder).map_err(io_error)?;
-    if fs::read_dir(folder).map_err(io_error)?.next().is_some() {
-        return Err(MeasurementError::whole(
-            folder,
-            "the folder is not empty: choose a new one, nothing is overwritten",
-        ));
-    }
+    let mut new = NewFolder::begin(folder)?;
     let mut taken: HashSet<String> = HashSet::from([MANIFEST.to_owned()]);
-    if let Some(source) = measurement.motor_file() {
+    let mut motor_name = measurement.motor.clone();
+    if let Some(text) = measurement.motor_text() {
+        "motor.toml".clone_into(&mut motor_name);
+        put(&mut new, &motor_name, |out| out.write_all(text.as_bytes()))?;
+        taken.insert(motor_name.clone());
+    } else if measurement.motor_file().is_some() && !measurement.folder.is_dir() {
+        let what = format!("the motor file `{}` is not at hand: give --motor NAME|FILE", measurement.motor);
+        return Err(MeasurementError::whole(folder, what));
+    } else if let Some(source) = measurement.motor_file() {
         manifest::inside(&measurement.folder, &measurement.motor)
             .map_err(|what| MeasurementError::whole(&source, format!("motor: {what}")))?;
-        copy_new(&source, &folder.join(&measurement.motor))?;
+        let motor = input::bytes(&source, input::WRITTEN).map_err(|reason| MeasurementError::io(&source, reason))?;
+        put(&mut new, &measurement.motor, |out| out.write_all(&motor))?;
         taken.insert(measurement.motor.to_lowercase());
     }
     let mut entries = Vec::with_capacity(measurement.runs.len());
     for run in &measurement.runs {
         let file = file_name(&run.id, &mut taken);
-        let path = folder.join(&file);
-        let written = create_new(&path).and_then(|mut out| {
-            write_data(&mut out, &run.data)?;
-            out.flush()
-        });
-        written.map_err(|source| MeasurementError::io(&path, source))?;
+        put(&mut new, &file, |out| write_data(out, &run.data))?;
         entries.push(entry(run, file));
     }
     let manifest = Manifest {
         name: measurement.name.clone(),
-        motor: spanned(measurement.motor.clone()),
+        motor: spanned(motor_name),
         edges_per_rev: Some(spanned(measurement.edges_per_rev)),
         run: entries,
     };
-    let path = folder.join(MANIFEST);
-    let text = toml::to_string(&manifest).map_err(|error| MeasurementError::whole(&path, error.to_string()))?;
-    let written = create_new(&path).and_then(|mut out| {
-        out.write_all(text.as_bytes())?;
-        out.flush()
-    });
-    written.map_err(|source| MeasurementError::io(&path, source))?;
+    let text = toml::to_string(&manifest)
+        .map_err(|error| MeasurementError::whole(&folder.join(MANIFEST), error.to_string()))?;
+    // Last: a folder without it is none.
+    put(&mut new, MANIFEST, |out| out.write_all(text.as_bytes()))?;
     // Reading back costs little and proves that what was written keeps every rule of the format.
-    Measurement::load(folder)
+    let mut saved = Measurement::load(new.path())?;
+    new.finish()?;
+    folder.clone_into(&mut saved.folder);
+    Ok(saved)
+}
+
+fn put(
+    folder: &mut NewFolder,
+    name: &str,
+    fill: impl FnOnce(&mut Output) -> io::Result<()>,
+) -> Result<(), OutputError> {
+    folder.file(name, |out| fill(out).map_err(|reason| out.failed(reason)))
 }
 
 fn spanned<T>(value: T) -> Spanned<T> {
     Spanned::new(0..0, value)
-}
-
-fn create_new(path: &Path) -> io::Result<BufWriter<File>> {
-    OpenOptions::new().write(true).create_new(true).open(path).map(BufWriter::new)
-}
-
-fn copy_new(from: &Path, to: &Path) -> Result<(), MeasurementError> {
-    if let Some(parent) = to.parent() {
-        fs::create_dir_all(parent).map_err(|source| MeasurementError::io(parent, source))?;
-    }
-    let mut source = File::open(from).map_err(|error| MeasurementError::io(from, error))?;
-    let copied = create_new(to).and_then(|mut out| {
-        io::copy(&mut source, &mut out)?;
-        out.flush()
-    });
-    copied.map_err(|error| MeasurementError::io(to, error))
 }
 
 /// A file name made of the run's id that is valid everywhere and unique even where case does not count.

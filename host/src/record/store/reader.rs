@@ -1,14 +1,19 @@
 use super::writer::{CHANNEL_DEVICE, CHANNEL_HOST, CHANNEL_MOTION, CHANNEL_RECORDER};
 use super::{MAX_RECORD, METADATA_NAME, Metadata, Sender, StoreError};
+use crate::input;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Bytes asked for at once.
 const READ_AHEAD: usize = 1 << 16;
+/// Bytes asked for first behind a damaged place, doubled each time: where one follows the other, reading far ahead each time
+/// would read the file many times over.
+const READ_FIRST: usize = 1 << 10;
 /// Opcode and length of a record.
 const RECORD_HEAD: usize = 9;
 /// Channel, sequence, log time and publish time of a message record.
@@ -92,6 +97,7 @@ pub struct Reader<S = File> {
     current: Vec<u8>,
     ended: bool,
     following: bool,
+    read_ahead: usize,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -145,12 +151,12 @@ impl Reader<File> {
     /// When the file cannot be read, or is not a recording.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         let path = path.as_ref();
-        let file = File::open(path).map_err(|reason| StoreError::io(path, reason))?;
-        let length = file.metadata().map_err(|reason| StoreError::io(path, reason))?;
-        if !length.is_file() {
-            return Err(StoreError::not(path, "not a regular file"));
-        }
-        if length.len() == 0 {
+        let file = input::open(path).map_err(|reason| match reason.kind() {
+            io::ErrorKind::InvalidInput => StoreError::not(path, "not a regular file"),
+            _ => StoreError::io(path, reason),
+        })?;
+        let length = file.metadata().map_err(|reason| StoreError::io(path, reason))?.len();
+        if length == 0 {
             return Err(StoreError::not(path, "the file is empty: the recorder was stopped before its first frame"));
         }
         Self::new(file, path)
@@ -176,6 +182,7 @@ impl<S: Read + Seek> Reader<S> {
             current: Vec::new(),
             ended: false,
             following: false,
+            read_ahead: READ_AHEAD,
         };
         reader.metadata = reader.read_metadata()?;
         Ok(reader)
@@ -232,9 +239,9 @@ impl<S: Read + Seek> Reader<S> {
         loop {
             match self.next_record()? {
                 Some(Ok(op::HEADER)) => {}
-                Some(Ok(op::METADATA)) => match mcap::parse_record(op::METADATA, &self.current) {
-                    Ok(Record::Metadata(record)) if record.name == METADATA_NAME => {
-                        return Metadata::from_map(record.metadata).map_err(|what| StoreError::not(&self.path, what));
+                Some(Ok(op::METADATA)) => match metadata_record(&self.current) {
+                    Some((METADATA_NAME, map)) => {
+                        return Metadata::from_map(map).map_err(|what| StoreError::not(&self.path, what));
                     }
                     _ => return Err(StoreError::not(&self.path, "an MCAP file that twum did not record")),
                 },
@@ -275,7 +282,7 @@ impl<S: Read + Seek> Reader<S> {
                 }
                 None => Step::Damage { from: failed_at + 1, except: None },
             },
-            op::CHUNK if matches!(mcap::parse_record(opcode, &self.current), Ok(Record::Chunk { .. })) => {
+            op::CHUNK if is_chunk(&self.current) => {
                 return Err(StoreError::not(
                     &self.path,
                     "another program has rewritten it in chunks: give the file that twum recorded",
@@ -292,7 +299,7 @@ impl<S: Read + Seek> Reader<S> {
     fn next_record(&mut self) -> Result<Option<Result<u8, McapError>>, StoreError> {
         loop {
             let wanted = match self.records.next_event() {
-                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => wanted.max(READ_AHEAD),
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => wanted.max(self.read_ahead),
                 Some(Ok(LinearReadEvent::Record { opcode, data })) => {
                     self.current.clear();
                     self.current.extend_from_slice(data);
@@ -305,6 +312,7 @@ impl<S: Read + Seek> Reader<S> {
             };
             let read =
                 self.file.read(self.records.insert(wanted)).map_err(|reason| StoreError::io(&self.path, reason))?;
+            self.read_ahead = (2 * self.read_ahead).min(READ_AHEAD);
             if read == 0 && self.following {
                 return Ok(Some(Err(McapError::UnexpectedEof)));
             }
@@ -335,6 +343,7 @@ impl<S: Read + Seek> Reader<S> {
                 let options = LinearReaderOptions::default().with_skip_start_magic(true);
                 self.records = LinearReader::new_with_options(bounded(options));
                 (self.position, self.previous) = (start, start);
+                self.read_ahead = READ_FIRST;
             }
             None => {
                 self.integrity.ending = Ending::Stopped;
@@ -358,10 +367,11 @@ impl<S: Read + Seek> Reader<S> {
     fn find_message(&mut self, from: u64, except: Option<u64>) -> Result<Option<u64>, StoreError> {
         let io_error = |reason| StoreError::io(&self.path, reason);
         self.file.seek(SeekFrom::Start(from)).map_err(io_error)?;
-        let mut window = Vec::with_capacity(2 * READ_AHEAD);
+        let mut window = Vec::with_capacity(2 * READ_FIRST);
         let mut window_start = from;
+        let mut read_ahead = READ_FIRST;
         loop {
-            let read = (&mut self.file).take(READ_AHEAD as u64).read_to_end(&mut window).map_err(io_error)?;
+            let read = (&mut self.file).take(read_ahead as u64).read_to_end(&mut window).map_err(io_error)?;
             let head = RECORD_HEAD + MESSAGE_HEAD;
             for (offset, bytes) in window.windows(head).enumerate() {
                 let length = u64::from_le_bytes(bytes[1..9].try_into().expect("8 bytes"));
@@ -377,6 +387,7 @@ impl<S: Read + Seek> Reader<S> {
             if read == 0 {
                 return Ok(None);
             }
+            read_ahead = (2 * read_ahead).min(READ_AHEAD);
             let keep = window.len().min(head - 1);
             window_start += (window.len() - keep) as u64;
             window.drain(..window.len() - keep);
@@ -386,6 +397,34 @@ impl<S: Read + Seek> Reader<S> {
 
 fn bounded(options: LinearReaderOptions) -> LinearReaderOptions {
     options.with_skip_end_magic(true).with_emit_chunks(true).with_record_length_limit(MAX_RECORD)
+}
+
+/// A text behind its length, and the bytes after it. The container's own reader (mcap 0.26) makes room for any length that
+/// stands there, up to 4 GB, before it looks.
+fn text(bytes: &[u8]) -> Option<(&str, &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    let (text, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+    Some((std::str::from_utf8(text).ok()?, rest))
+}
+
+/// Name and entries of a metadata record.
+fn metadata_record(data: &[u8]) -> Option<(&str, BTreeMap<String, String>)> {
+    let (name, rest) = text(data)?;
+    let (length, rest) = rest.split_first_chunk::<4>()?;
+    let mut entries = rest.get(..u32::from_le_bytes(*length) as usize)?;
+    let mut map = BTreeMap::new();
+    while !entries.is_empty() {
+        let (key, rest) = text(entries)?;
+        let (value, rest) = text(rest)?;
+        map.insert(key.to_owned(), value.to_owned());
+        entries = rest;
+    }
+    Some((name, map))
+}
+
+/// Whether a record reads as a chunk: two times, a size, a checksum and the name of a compression.
+fn is_chunk(data: &[u8]) -> bool {
+    data.get(28..).and_then(text).is_some_and(|(compression, _)| ["", "lz4", "zstd"].contains(&compression))
 }
 
 /// The channel and header of a message record, if it is one of ours.

@@ -239,3 +239,47 @@ proptest! {
         prop_assert_eq!(&frames[..3], &expected(3));
     }
 }
+
+/// Counts what is read of it.
+struct Counted(std::io::Cursor<Vec<u8>>, std::rc::Rc<std::cell::Cell<u64>>);
+
+impl std::io::Read for Counted {
+    fn read(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
+        let read = self.0.read(into)?;
+        self.1.set(self.1.get() + read as u64);
+        Ok(read)
+    }
+}
+
+impl std::io::Seek for Counted {
+    fn seek(&mut self, target: std::io::SeekFrom) -> std::io::Result<u64> {
+        self.0.seek(target)
+    }
+}
+
+#[test]
+fn damage_after_damage_does_not_read_the_file_many_times_over() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let mut writer = Writer::create(&path, &Metadata::simulated()).unwrap();
+    for k in 0..20_000 {
+        writer.frame(Sender::Device, k, &[7, 7, 7, 0]).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    // The opcode of every other message.
+    let first = bytes.windows(9).position(|head| head == [5, 26, 0, 0, 0, 0, 0, 0, 0]).unwrap();
+    let mut damaged = 0;
+    for at in (first..first + 35 * 20_000).step_by(70) {
+        bytes[at] = 0xee;
+        damaged += 1;
+    }
+    let size = bytes.len() as u64;
+    let read = std::rc::Rc::new(std::cell::Cell::new(0));
+    let counted = Counted(std::io::Cursor::new(bytes), std::rc::Rc::clone(&read));
+    let mut reader = Reader::new(counted, Path::new("a.mcap")).unwrap();
+    while reader.next_entry().unwrap().is_some() {}
+    let integrity = reader.integrity();
+    assert_eq!((damaged, integrity.frames), (10_000, 10_000));
+    assert!(read.get() < 100 * size, "{} times the file was read", read.get() / size);
+}

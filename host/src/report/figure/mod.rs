@@ -7,6 +7,7 @@ mod axis;
 mod draw;
 mod trace;
 
+use crate::output::{self, Existing, OutputError};
 use std::path::Path;
 
 /// Why a figure was not made.
@@ -36,13 +37,8 @@ pub enum FigureError {
     #[error("{0}: a figure is written as .svg or .png, name the file accordingly")]
     Extension(String),
     /// The file could not be written.
-    #[error("{path}: {reason}")]
-    Write {
-        /// The file.
-        path: String,
-        /// What the operating system said.
-        reason: std::io::Error,
-    },
+    #[error(transparent)]
+    Output(#[from] OutputError),
 }
 
 /// A figure: a title over panels laid out in rows.
@@ -103,7 +99,7 @@ impl Figure {
         draw::png(self)
     }
 
-    /// Writes the figure to `path`, as SVG or PNG by its extension.
+    /// Writes the figure to `path`, as SVG or PNG by its extension; a picture that is there is replaced.
     ///
     /// # Errors
     /// Another extension, a size that cannot be drawn, or a file that cannot be written.
@@ -115,7 +111,7 @@ impl Figure {
             Some("png") => self.png()?,
             _ => return Err(FigureError::Extension(path.display().to_string())),
         };
-        std::fs::write(path, bytes).map_err(|reason| FigureError::Write { path: path.display().to_string(), reason })
+        Ok(output::write(path, bytes, Existing::Keep)?)
     }
 
     fn rows(&self) -> usize {

@@ -206,12 +206,15 @@ fn nodes(train: &EdgeTrain, encoder: &Encoder) -> Vec<Node> {
         let turned = (pair[1].boundary - pair[0].boundary).abs() as f64;
         Some(turned / seconds(pair[1].middle_us() - pair[0].middle_us()))
     };
+    // Hours in which nothing moves need no statement every so often: their number is bounded by that of the edges.
+    let most = 100_000.0 + 50.0 * edges.len() as f64;
+    let every_s = CELL_EVERY_S.max(seconds(train.end_us - train.start_us) / most);
     let mut nodes = Vec::new();
     let (mut from_s, mut cell) = (seconds(train.rest_until_us.unwrap_or(train.start_us)), 0);
     for (i, edge) in edges.iter().enumerate() {
         let half_width_s = 0.5 * seconds(edge.before_us - edge.after_us);
         let time_s = seconds(edge.middle_us());
-        add_cells(&mut nodes, cell, from_s, time_s - half_width_s, i == 0, false);
+        add_cells(&mut nodes, cell, (from_s, time_s - half_width_s, every_s), i == 0, false);
         let before = i.checked_sub(1).and_then(speed_between).unwrap_or(0.0);
         let speed = before.max(speed_between(i).unwrap_or(0.0));
         let statement = Statement::Crosses { boundary: edge.boundary, half_width_s };
@@ -219,16 +222,16 @@ fn nodes(train: &EdgeTrain, encoder: &Encoder) -> Vec<Node> {
         nodes.push(Node { time_s, statement, angle, change: Change::Jerk(strength::WEAKEST) });
         (from_s, cell) = (time_s + half_width_s, edge.count_after());
     }
-    add_cells(&mut nodes, cell, from_s, seconds(train.end_us), edges.is_empty(), true);
+    add_cells(&mut nodes, cell, (from_s, seconds(train.end_us), every_s), edges.is_empty(), true);
     if train.rest_until_us.is_some() {
         nodes[1].change = Change::Kick;
     }
     nodes
 }
 
-/// States the cell every [`CELL_EVERY_S`] between two times, at the ends only if asked for.
-fn add_cells(nodes: &mut Vec<Node>, cell: i64, from_s: f64, to_s: f64, at_start: bool, at_end: bool) {
-    let parts = ((to_s - from_s) / CELL_EVERY_S).ceil().max(1.0) as usize;
+/// States the cell between two times, so often, and at the ends only if asked for.
+fn add_cells(nodes: &mut Vec<Node>, cell: i64, (from_s, to_s, every_s): (f64, f64, f64), at_start: bool, at_end: bool) {
+    let parts = ((to_s - from_s) / every_s).ceil().max(1.0) as usize;
     for part in 0..=parts {
         if (part == 0 && at_start) || (part == parts && at_end) || (0 < part && part < parts) {
             let time_s = from_s + (to_s - from_s) * part as f64 / parts as f64;

@@ -1,0 +1,279 @@
+//! How much the data speak for a set of effects: one marginal likelihood for all.
+//!
+//! The residuals of a run are its gain times the predicted speed, the effects' columns, terms with coefficients of the run's own (a
+//! phase, a wander), and noise whose variance is unknown. Everything linear is integrated in closed form as *one* Gaussian: gains with a
+//! covariance over duty, direction and order; common columns under their priors (Laplace's approximation around a refitted model);
+//! a run's own coefficients under a power that all runs share.
+//!
+//! The likelihood is tempered: a model is right only up to differences of form, so that residuals count as a stated number of
+//! independent ones, however many were recorded. Reference: Miller & Dunson, Robust Bayesian inference via coarsening, JASA 114
+//! (2019) 1113; the power of a run's own coefficients by expectation–maximisation (Dempster, Laird & Rubin 1977).
+
+use super::level::{Level, Taus};
+use super::problem::RunDesign;
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use rayon::prelude::*;
+use std::ops::AddAssign;
+
+/// How many independent residuals a data set counts as: two forms are told apart if this many would tell them apart.
+const INDEPENDENT: f64 = 200.0;
+/// The same for each run, where there are many: a run has a gain and up to six own coefficients to say something of.
+const INDEPENDENT_A_RUN: f64 = 8.0;
+/// Share of the squared error without effects below which no form is trusted: effects do not have the library's forms exactly.
+pub const FORM_ERROR: f64 = 0.06;
+/// Rounds of expectation–maximisation of noise and powers.
+const ROUNDS: usize = 6;
+
+/// Normal equations of every run around one model.
+pub struct Equations {
+    /// One a run.
+    pub runs: Vec<Normal>,
+    /// Residuals in all.
+    pub rows: f64,
+}
+
+/// Normal equations of one run.
+pub struct Normal {
+    g: DMatrix<f64>,
+    b: DVector<f64>,
+    yy: f64,
+}
+
+impl Equations {
+    /// Of `designs`; the coefficients that the model has of columns `own` in each run are added back, so that they are fitted whole.
+    pub fn new(designs: &[RunDesign], own: std::ops::Range<usize>, values: &[Vec<f64>]) -> Self {
+        let runs = designs
+            .par_iter()
+            .zip(values)
+            .map(|(d, z)| {
+                let n = d.columns;
+                let x = DMatrix::from_row_slice(d.y.len(), n, &d.x);
+                let y = DVector::from_column_slice(&d.y);
+                let (g, b) = (x.tr_mul(&x), x.tr_mul(&y));
+                let around = DVector::from_fn(n, |i, _| if own.contains(&i) { z[i - own.start] } else { 0.0 });
+                let shift = &g * &around;
+                let yy = y.dot(&y) + 2.0 * b.dot(&around) + shift.dot(&around);
+                Normal { b: b + shift, g, yy }
+            })
+            .collect();
+        Self { runs, rows: designs.iter().map(|d| d.y.len() as f64).sum() }
+    }
+
+    fn independent(&self) -> f64 {
+        independent(self.rows, self.runs.len())
+    }
+}
+
+/// How many independent residuals `rows` of `runs` count as; overlapping ones repeat each other.
+pub fn independent(rows: f64, runs: usize) -> f64 {
+    INDEPENDENT.max(INDEPENDENT_A_RUN * runs as f64).min(0.25 * rows).max(1.0)
+}
+
+/// What is asked of the equations: column 0 is the gain of the run.
+#[derive(Debug, Clone, Default)]
+pub struct Question {
+    /// Common columns with the standard deviation of their coefficient.
+    pub common: Vec<(usize, f64)>,
+    /// Own columns; those of one group share their power.
+    pub own: Vec<(usize, usize)>,
+}
+
+impl Question {
+    /// The columns from the first own one to the last.
+    pub fn own_range(&self) -> std::ops::Range<usize> {
+        self.own.first().map_or(0, |o| o.0)..self.own.last().map_or(0, |o| o.0 + 1)
+    }
+}
+
+/// What was found by integrating.
+#[derive(Debug, Clone)]
+pub struct Weighed {
+    /// Log marginal likelihood.
+    pub log: f64,
+    /// Squared error that is left, gains and all terms at their expected values, in rpm²·s.
+    pub left: f64,
+    /// Variance of a tempered residual.
+    pub variance: f64,
+    /// Spreads of the gains.
+    pub taus: Taus,
+    /// Gain of each run.
+    pub gains: Vec<f64>,
+    /// Expected coefficient of each common column.
+    pub common: Vec<f64>,
+    /// Power of each group.
+    pub powers: Vec<f64>,
+}
+
+/// Where integrating starts.
+#[derive(Debug, Clone)]
+pub struct Start {
+    /// Variance of a tempered residual.
+    pub variance: f64,
+    /// Spreads of the gains.
+    pub taus: Taus,
+    /// Squared error without effects, in rpm²·s.
+    pub without: f64,
+    /// How the spreads are found.
+    pub spreads: Spreads,
+}
+
+/// How the spreads of the gains are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Spreads {
+    /// They stay.
+    Stay,
+    /// From where they are.
+    Near,
+    /// From everywhere.
+    Anywhere,
+}
+
+struct Reduced {
+    g: DMatrix<f64>,
+    b: DVector<f64>,
+    yy: f64,
+    log_det: f64,
+    freedom: f64,
+    own_quadratic: f64,
+    power: Vec<f64>,
+}
+
+/// Integrates a run's own coefficients.
+fn reduce(run: &Normal, q: &Question, powers: &[f64], variance: f64) -> Reduced {
+    let rest: Vec<usize> = std::iter::once(0).chain(q.common.iter().map(|c| c.0)).collect();
+    let scale: Vec<f64> = std::iter::once(1.0).chain(q.common.iter().map(|c| c.1)).collect();
+    let n = rest.len();
+    let mut g = DMatrix::from_fn(n, n, |i, j| run.g[(rest[i], rest[j])] * scale[i] * scale[j] / variance);
+    let mut b = DVector::from_fn(n, |i, _| run.b[rest[i]] * scale[i] / variance);
+    let k = q.own.len();
+    let mut out = Reduced {
+        yy: run.yy / variance,
+        log_det: 0.0,
+        freedom: 0.0,
+        own_quadratic: 0.0,
+        power: vec![0.0; powers.len()],
+        g: DMatrix::zeros(0, 0),
+        b: DVector::zeros(0),
+    };
+    if k > 0 {
+        let sd: Vec<f64> = q.own.iter().map(|o| powers[o.1].sqrt()).collect();
+        let m = DMatrix::from_fn(k, k, |i, j| {
+            run.g[(q.own[i].0, q.own[j].0)] * sd[i] * sd[j] / variance + f64::from(u8::from(i == j))
+        });
+        let link = DMatrix::from_fn(k, n, |i, j| run.g[(q.own[i].0, rest[j])] * sd[i] * scale[j] / variance);
+        let r = DVector::from_fn(k, |i, _| run.b[q.own[i].0] * sd[i] / variance);
+        if let Some(chol) = m.cholesky() {
+            out.log_det = log_det(&chol);
+            let z = chol.solve(&r);
+            let inverse = chol.inverse();
+            g -= link.tr_mul(&chol.solve(&link));
+            b -= link.tr_mul(&z);
+            out.yy -= r.dot(&z);
+            for (i, o) in q.own.iter().enumerate() {
+                out.power[o.1] += (z[i] * z[i] + inverse[(i, i)]) * sd[i] * sd[i];
+                out.freedom += 1.0 - inverse[(i, i)];
+            }
+            out.own_quadratic = z.dot(&z);
+        }
+    }
+    out.g = g;
+    out.b = b;
+    out
+}
+
+fn log_det(chol: &Cholesky<f64, Dyn>) -> f64 {
+    2.0 * chol.l_dirty().diagonal().iter().map(|d| d.max(1e-300).ln()).sum::<f64>()
+}
+
+/// The gains of all runs and the common coefficients as one Gaussian.
+struct Joint {
+    /// Log determinant of prior times precision.
+    log_det: f64,
+    /// What the expected values explain of the squared error, in units of the variance.
+    explained: f64,
+    x: DVector<f64>,
+    gains: DVector<f64>,
+    chol: Cholesky<f64, Dyn>,
+}
+
+fn join(runs: &[Reduced], gains: &Cholesky<f64, Dyn>, commons: usize) -> Option<Joint> {
+    let r = runs.len();
+    let l = gains.l();
+    let mut a = DMatrix::identity(r + commons, r + commons);
+    let mut b = DVector::zeros(r + commons);
+    // Gains are written as L·u with u of unit covariance.
+    let weighted = DMatrix::from_fn(r, r, |i, j| if j <= i { l[(i, j)] * runs[i].g[(0, 0)] } else { 0.0 });
+    let top = l.tr_mul(&weighted);
+    a.view_mut((0, 0), (r, r)).add_assign(&top);
+    let gain_b = DVector::from_fn(r, |i, _| runs[i].b[0]);
+    b.rows_mut(0, r).copy_from(&l.tr_mul(&gain_b));
+    if commons > 0 {
+        let link = DMatrix::from_fn(r, commons, |i, j| runs[i].g[(0, j + 1)]);
+        let link = l.tr_mul(&link);
+        a.view_mut((0, r), (r, commons)).copy_from(&link);
+        a.view_mut((r, 0), (commons, r)).copy_from(&link.transpose());
+        for run in runs {
+            a.view_mut((r, r), (commons, commons)).add_assign(&run.g.view((1, 1), (commons, commons)));
+            b.rows_mut(r, commons).add_assign(&run.b.rows(1, commons));
+        }
+    }
+    let chol = a.cholesky()?;
+    let x = chol.solve(&b);
+    Some(Joint { log_det: log_det(&chol), explained: b.dot(&x), gains: &l * x.rows(0, r), x, chol })
+}
+
+/// Integrates everything that is linear.
+pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) -> Option<Weighed> {
+    let groups = q.own.iter().map(|o| o.1 + 1).max().unwrap_or(0);
+    let sizes: Vec<f64> = (0..groups).map(|k| q.own.iter().filter(|o| o.1 == k).count() as f64).collect();
+    let mut powers = vec![0.01; groups];
+    let mut variance = start.variance;
+    let independent = equations.independent();
+    let mut taus = start.taus;
+    let mut found = None;
+    let mut common_freedom = None;
+    for round in 0..ROUNDS {
+        let reduced: Vec<Reduced> = equations.runs.iter().map(|r| reduce(r, q, &powers, variance)).collect();
+        if start.spreads != Spreads::Stay && (round == 1 || round + 1 == ROUNDS) {
+            let likely = |c: &Cholesky<f64, Dyn>| {
+                join(&reduced, c, q.common.len()).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det))
+            };
+            let anywhere = start.spreads == Spreads::Anywhere && round == 1;
+            taus = if anywhere { level.best_of_all(taus, &likely) } else { level.best(taus, &likely) };
+        }
+        let gains = level.covariance(&taus).cholesky()?;
+        let joint = join(&reduced, &gains, q.common.len())?;
+        let dimension = joint.x.len() as f64;
+        // What gains and common columns take hardly changes from round to round.
+        let taken = *common_freedom.get_or_insert_with(|| dimension - joint.chol.inverse().trace());
+        let freedom = reduced.iter().map(|r| r.freedom).sum::<f64>() + taken;
+        let quadratic = reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained;
+        let prior = joint.x.dot(&joint.x) + reduced.iter().map(|r| r.own_quadratic).sum::<f64>();
+        let left = (quadratic - prior).max(0.0) * variance;
+        let log = -0.5 * independent * variance.ln()
+            - 0.5 * quadratic
+            - 0.5 * (joint.log_det + reduced.iter().map(|r| r.log_det).sum::<f64>())
+            + level.log_prior(&taus);
+        let commons = q.common.iter().zip(joint.x.iter().skip(reduced.len())).map(|(c, x)| c.1 * x).collect();
+        found = Some(Weighed {
+            log,
+            left,
+            variance,
+            taus,
+            gains: joint.gains.as_slice().to_vec(),
+            common: commons,
+            powers: powers.clone(),
+        });
+        for (k, p) in powers.iter_mut().enumerate() {
+            let sum: f64 = reduced.iter().map(|r| r.power[k]).sum();
+            *p = (sum / (sizes[k] * reduced.len() as f64)).max(1e-9);
+        }
+        let error = (1.0 - FORM_ERROR) * left + FORM_ERROR * start.without.max(left);
+        let next = error / (independent - freedom).max(0.25 * independent);
+        let next = next.max(1e-12);
+        if round + 1 < ROUNDS {
+            variance = next;
+        }
+    }
+    found
+}

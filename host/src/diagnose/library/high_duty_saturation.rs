@@ -1,0 +1,28 @@
+//! `high-duty-saturation`.
+
+use super::{Coordinate, Effect, Need, one, reported};
+use crate::diagnose::rotor::P;
+
+pub(super) fn effect() -> Effect {
+    Effect {
+        name: "high-duty-saturation",
+        says: "more duty gives less and less drive: the speed–duty line bends at the top",
+        equation: "u → u/(1 + u/us), u/(1 + b·u²), or min(u, 1 − f)",
+        coordinate: Coordinate::Duty,
+        needs: &[Need::ThreeDuties],
+        forms: vec![
+            one(P::Saturation, 0.5, 0.01, (0.0, 5.0)),
+            one(P::Bend, 0.5, 0.01, (0.0, 5.0)),
+            one(P::FlatTop, 0.1, 0.1, (0.0, 0.6)),
+            one(P::FlatTop, 0.2, 0.2, (0.0, 0.6)),
+            one(P::FlatTop, 0.35, 0.35, (0.0, 0.6)),
+        ],
+        reported: vec![
+            reported("inverse_saturation_duty", "1", P::Saturation),
+            reported("quadratic_bend", "1", P::Bend),
+            reported("flat_top_duty", "1", P::FlatTop),
+        ],
+        conflicts: &["contact-stiffening", "supply-sag"],
+        next_experiment: "edge timestamps (format edges) at duties 0.8 to 1: saturation shortens the drive, a sag slows the rotor within it",
+    }
+}

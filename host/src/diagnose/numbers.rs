@@ -1,0 +1,93 @@
+//! Numbers of an effect with their intervals: what the runs scatter, what is only believed, what forms leave open.
+
+use super::discrepancy::switching;
+use super::finding::Estimate;
+use super::held_out::Scorer;
+use super::library::{Effect, Phased};
+use super::search::{Part, Set};
+
+/// Share of a number by which the library's form of an effect and the real one may disagree on it.
+const FORM: f64 = 0.04;
+
+/// Names of the amplitudes of a runout, by harmonic.
+const RUNOUT: [&str; 4] = ["once_a_turn", "twice_a_turn", "three_times_a_turn", "four_times_a_turn"];
+/// Names of the amplitudes of an eccentric wheel, by harmonic.
+const ECCENTRICITY: [&str; 4] =
+    ["eccentricity_rad", "eccentricity_twice_rad", "eccentricity_three_times_rad", "eccentricity_four_times_rad"];
+
+/// Estimates of an effect of a set.
+pub fn estimates(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estimate> {
+    let mut out = common(scorer, effect, set, part);
+    let mut group = 0;
+    for other in &set.parts {
+        if other.effect == part.effect {
+            for (k, pair) in other.phased.iter().enumerate() {
+                out.push(amplitude(scorer, set, *pair, set.weighed.powers[group + k]));
+            }
+        }
+        group += other.phased.len();
+    }
+    out
+}
+
+fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estimate> {
+    if part.free.is_empty() {
+        return Vec::new();
+    }
+    let (grams, free, _) = scorer.equations(set, &switching());
+    let columns: Vec<usize> = (0..grams.columns()).collect();
+    let (beta, covariance) = grams.fit_all(&columns);
+    let first = free - set.parts.iter().map(|p| p.free.len()).sum::<usize>();
+    let before: usize = set.parts.iter().take_while(|p| p.effect != part.effect).map(|p| p.free.len()).sum();
+    let quantile = student_975(scorer.keys.len().saturating_sub(1).max(1));
+    let form = &effect.forms[part.form];
+    effect
+        .reported
+        .iter()
+        .filter_map(|reported| {
+            let now = set.model.parameters.get(reported.parameter);
+            let name = reported.name.to_owned();
+            let unit = reported.unit.to_owned();
+            if let Some(k) = part.free.iter().position(|f| f.parameter == reported.parameter) {
+                let f = &part.free[k];
+                let at = first + before + k;
+                let value = (now + beta[at].clamp(-0.3, 0.3) * f.scale).clamp(f.bounds.0, f.bounds.1);
+                let spread = covariance[(at, at)].max(0.0).sqrt() * f.scale;
+                let half = (quantile * spread).hypot(1.96 * FORM * value);
+                let interval = [(value - half).max(f.bounds.0.min(0.0)), (value + half).min(f.bounds.1)];
+                return Some(Estimate { name, value, interval, unit });
+            }
+            // A shape that the form states.
+            let stated = form.shapes.iter().find(|s| s.parameter == reported.parameter)?;
+            Some(Estimate { name, value: stated.start, interval: [stated.start; 2], unit })
+        })
+        .collect()
+}
+
+/// The amplitude that all runs share; its spread by leaving out one run after the other.
+fn amplitude(scorer: &Scorer, set: &Set, pair: Phased, power: f64) -> Estimate {
+    let squares: Vec<f64> = scorer.phases(set, pair).iter().map(|c| c[0] * c[0] + c[1] * c[1]).collect();
+    let n = squares.len() as f64;
+    let value = (2.0 * power).sqrt();
+    let total: f64 = squares.iter().sum();
+    let spread = if n > 1.0 {
+        let jack: Vec<f64> = squares.iter().map(|s| ((total - s) / (n - 1.0)).max(0.0).sqrt()).collect();
+        let mean = jack.iter().sum::<f64>() / n;
+        (jack.iter().map(|a| (a - mean).powi(2)).sum::<f64>() * (n - 1.0) / n).sqrt()
+    } else {
+        0.0
+    };
+    let half = 1.96 * spread.hypot(FORM * value);
+    let (name, unit) = match pair {
+        Phased::Runout(h) => (RUNOUT[h], "1"),
+        Phased::Eccentricity(h) => (ECCENTRICITY[h], "rad"),
+        Phased::Gravity => ("gravity_torque_over_inertia", "rad/s^2"),
+    };
+    Estimate { name: name.to_owned(), value, interval: [(value - half).max(0.0), value + half], unit: unit.to_owned() }
+}
+
+/// 97.5 % quantile of Student's t.
+fn student_975(degrees: usize) -> f64 {
+    use statrs::distribution::{ContinuousCDF, StudentsT};
+    StudentsT::new(0.0, 1.0, degrees as f64).map_or(1.96, |t| t.inverse_cdf(0.975))
+}

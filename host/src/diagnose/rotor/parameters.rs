@@ -1,0 +1,217 @@
+//! Everything that an effect can change in the rotor equation.
+
+/// Number of scalar parameters, see [`P`].
+pub const PARAMETERS: usize = P::ALL.len();
+
+/// One scalar parameter of the rotor equation. The first ones are the baseline's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(usize)]
+pub enum P {
+    /// Free speed under drive in rad/s (the force factor sets it).
+    FreeSpeed,
+    /// Drive torque over inertia in rad/s² (contact friction sets it).
+    OnAcceleration,
+    /// Braking torque with the wave off over inertia in rad/s² (off-phase friction).
+    OffDeceleration,
+    /// How long the dying wave brakes with the drive's own torque after each fall of the drive, in s: all the braking a
+    /// coasting rotor has.
+    RingDown,
+    /// Time in which the stator's wave builds up and dies away, in s, from the motor file (2·Ms/Cs): a crest that is faster than
+    /// the rotor goes on driving it after a fall, one that is slower goes on braking it after a rise.
+    WaveTime,
+    /// Viscous damping over inertia in 1/s.
+    Viscous,
+    /// Common delay of the record behind the drive in s (a nuisance, not physics).
+    Latency,
+    /// Width of the slip band as a fraction of the free speed (contact stiffness and exponent).
+    SlipBand,
+    /// `resonance-heating`: speed lost when warm, as a fraction at full duty.
+    HeatLoss,
+    /// `resonance-heating`: thermal time constant in s.
+    HeatTau,
+    /// `resonance-heating`: share of the warmth that survives until the next run.
+    HeatCarry,
+    /// `frequency-settling`: relative speed excess at the start of a drive.
+    SettleExcess,
+    /// `frequency-settling`: time constant in s.
+    SettleTau,
+    /// `dead-zone`: duty below which nothing moves.
+    DeadDuty,
+    /// `start-delay`: delay of the wave after each PWM rise, in s.
+    StartDelay,
+    /// `duty-quantisation`: how much of the rounding error acts (1 = all of it).
+    QuantShare,
+    /// `duty-quantisation`: number of duty steps.
+    QuantSteps,
+    /// `high-duty-saturation`: 1/us.
+    Saturation,
+    /// `contact-stiffening`: addition to the slip band.
+    SlipExtra,
+    /// `direction-asymmetry`: relative speed difference, half of cw minus ccw.
+    AsymSpeed,
+    /// `direction-asymmetry`: relative braking difference, half of cw minus ccw.
+    AsymBrake,
+    /// `clock-error`: relative error of the recorder's clock.
+    ClockError,
+    /// `unequal-edges`: excess of the high slots as a fraction of a pitch.
+    EdgeOffset,
+    /// `stribeck-friction`: extra friction at rest over inertia in rad/s².
+    StribeckDeceleration,
+    /// `stribeck-friction`: Stribeck speed in rad/s.
+    StribeckSpeed,
+    /// `supply-sag`: relative speed lost at full duty.
+    Sag,
+    /// `supply-sag`: time in s in which the supply gives way and recovers.
+    SagTime,
+    /// `run-in-wear`: relative speed change per unit of log(1 + revs/r0).
+    Wear,
+    /// `run-in-wear`: r0 in revolutions.
+    WearRevolutions,
+    /// `backlash`: lost motion at a reversal, in rad.
+    Backlash,
+    /// `reversal-miscount`: counts gained at a reversal, in the new sense.
+    Miscount,
+    /// `reversal-miscount`: counts gained at every reversal whatever its sense.
+    MiscountDrift,
+    /// `dead-zone`: duty below which the drive is gated off; above it, all of it acts.
+    GateDuty,
+    /// `dead-zone`: how softly the gate opens, in duty.
+    GateWidth,
+    /// `high-duty-saturation`: quadratic bend, u/(1 + bend·u²).
+    Bend,
+    /// `high-duty-saturation`: what of the duty beyond 1 − `FlatFrom` is lost.
+    FlatTop,
+    /// `clock-error`: change of the clock's relative error a second.
+    ClockDrift,
+    /// `frequency-settling`: 1 where it counts the time of the drive, 0 where it counts time.
+    SettleOnTime,
+    /// `preload-runout`: how much of it acts on the speed of the wave (1 = all).
+    RunoutSpeed,
+    /// `preload-runout`: how much of it acts on the drive's torque.
+    RunoutTorque,
+    /// `preload-runout`: how much of it acts on the braking without a wave.
+    RunoutBrake,
+}
+
+impl P {
+    /// All parameters in index order.
+    pub const ALL: [P; 41] = [
+        P::FreeSpeed,
+        P::OnAcceleration,
+        P::OffDeceleration,
+        P::RingDown,
+        P::WaveTime,
+        P::Viscous,
+        P::Latency,
+        P::SlipBand,
+        P::HeatLoss,
+        P::HeatTau,
+        P::HeatCarry,
+        P::SettleExcess,
+        P::SettleTau,
+        P::DeadDuty,
+        P::StartDelay,
+        P::QuantShare,
+        P::QuantSteps,
+        P::Saturation,
+        P::SlipExtra,
+        P::AsymSpeed,
+        P::AsymBrake,
+        P::ClockError,
+        P::EdgeOffset,
+        P::StribeckDeceleration,
+        P::StribeckSpeed,
+        P::Sag,
+        P::SagTime,
+        P::Wear,
+        P::WearRevolutions,
+        P::Backlash,
+        P::Miscount,
+        P::MiscountDrift,
+        P::GateDuty,
+        P::GateWidth,
+        P::Bend,
+        P::FlatTop,
+        P::ClockDrift,
+        P::SettleOnTime,
+        P::RunoutSpeed,
+        P::RunoutTorque,
+        P::RunoutBrake,
+    ];
+}
+
+/// Values of all parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameters([f64; PARAMETERS]);
+
+impl Parameters {
+    /// A rotor with no effect present.
+    pub fn new(free_speed: f64, on_acceleration: f64, off_deceleration: f64, viscous: f64, slip_band: f64) -> Self {
+        let mut p = Self([0.0; PARAMETERS]);
+        p.set(P::FreeSpeed, free_speed);
+        p.set(P::OnAcceleration, on_acceleration);
+        p.set(P::OffDeceleration, off_deceleration);
+        p.set(P::Viscous, viscous);
+        p.set(P::SlipBand, slip_band);
+        p.set(P::HeatTau, 1.0);
+        p.set(P::SettleTau, 0.03);
+        p.set(P::QuantSteps, 32.0);
+        p.set(P::SagTime, 0.01);
+        p.set(P::StribeckSpeed, 0.5);
+        p.set(P::WearRevolutions, 1.0);
+        p.set(P::GateWidth, 0.02);
+        p.set(P::RunoutSpeed, 1.0);
+        p.set(P::RunoutTorque, 1.0);
+        p
+    }
+
+    /// The value of one parameter.
+    pub fn get(&self, p: P) -> f64 {
+        self.0[p as usize]
+    }
+
+    /// Sets one parameter.
+    pub fn set(&mut self, p: P, value: f64) {
+        self.0[p as usize] = value;
+    }
+
+    /// The same values with one changed.
+    pub fn with(&self, p: P, value: f64) -> Self {
+        let mut other = self.clone();
+        other.set(p, value);
+        other
+    }
+}
+
+/// Harmonics of a turn in which a runout or an eccentric wheel may act.
+pub const HARMONICS: usize = 4;
+
+/// `Σ a_k·cos(kθ) + b_k·sin(kθ)` of interleaved coefficients.
+pub(super) fn harmonics(coefficients: &[f64; 2 * HARMONICS], theta: f64) -> f64 {
+    let (s, c) = theta.sin_cos();
+    let (mut sk, mut ck) = (s, c);
+    let mut sum = 0.0;
+    for pair in coefficients.chunks_exact(2) {
+        sum += pair[0] * ck + pair[1] * sk;
+        (ck, sk) = (ck * c - sk * s, sk * c + ck * s);
+    }
+    sum
+}
+
+/// What belongs to one run alone: rotor angle is unknown between runs, so angle-dependent effects have a phase a run.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RunTerms {
+    /// Drive modulation: cosine and sine of θ, 2θ, 3θ, 4θ (relative).
+    pub runout: [f64; 2 * HARMONICS],
+    /// Encoder angle error: cosine and sine of θ, 2θ, 3θ, 4θ in rad.
+    pub eccentricity: [f64; 2 * HARMONICS],
+    /// Load torque over inertia: cos θ, sin θ coefficients in rad/s².
+    pub gravity: [f64; 2],
+}
+
+impl RunTerms {
+    /// Angle that the encoder reads too far at a measured angle, in rad.
+    pub fn encoder_error(&self, measured: f64) -> f64 {
+        harmonics(&self.eccentricity, measured)
+    }
+}

@@ -1,0 +1,288 @@
+//! Reaching a board while another program holds its port: that program listens on a socket in the user's runtime directory and
+//! passes on what any terminal of the same user asks, which is who the board is, and to stop. What is answered is the board's
+//! own answer.
+//!
+//! The socket is in a directory that only its owner may enter. A program that is killed leaves its socket behind; nobody
+//! listens on it then, and the next program takes its place.
+
+use super::{LinkError, Port};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant};
+use thiserror::Error;
+use twum_shared::frame::{self, Decoder, Header, MAX_ENCODED};
+use twum_shared::message::{DeviceMessage, HostMessage, Identity};
+
+/// A request is looked for this often while the program waits for the board.
+const SLICE: Duration = Duration::from_millis(2);
+/// A frame that is not answered is sent again this often: as a session does with its own stop.
+const AGAIN: Duration = Duration::from_millis(20);
+/// Longest wait for the board's answer.
+const PATIENCE: Duration = Duration::from_millis(2_500);
+/// Longest line on the socket, bytes.
+const LINE: u64 = 64;
+/// Sequences of frames that are passed on, far from those of a session, which count from zero.
+const FIRST_SEQUENCE: u32 = 1 << 31;
+
+/// What can be asked of a board that another program holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asked {
+    /// Stop, as [`super::Session::stop`].
+    Stop,
+    /// Say who it is.
+    Hello,
+}
+
+impl Asked {
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Stop => "stop",
+            Self::Hello => "hello",
+        }
+    }
+
+    fn message(self) -> HostMessage {
+        match self {
+            Self::Stop => HostMessage::Stop { clear_fault: true },
+            Self::Hello => HostMessage::Hello,
+        }
+    }
+}
+
+/// Why a board could not be reached through another program.
+#[derive(Debug, Error)]
+pub enum RelayError {
+    /// Nobody listens.
+    #[error("no other twum of yours holds it")]
+    Nobody,
+    /// The socket is not this user's.
+    #[error("{} belongs to another user: it is not trusted", .0.display())]
+    Foreign(PathBuf),
+    /// The other program did not pass it on, or the board did not answer.
+    #[error("the program that holds it: {0}")]
+    Failed(String),
+}
+
+/// The directory of sockets, made if need be: private to its owner.
+fn directory() -> std::io::Result<PathBuf> {
+    let base = match std::env::var_os("XDG_RUNTIME_DIR") {
+        Some(runtime) => PathBuf::from(runtime).join("twum"),
+        None => std::env::temp_dir().join(format!("twum-{}", std::env::var("USER").unwrap_or_default())),
+    };
+    match std::fs::DirBuilder::new().mode(0o700).create(&base) {
+        Err(error) if error.kind() != std::io::ErrorKind::AlreadyExists => return Err(error),
+        _ => {}
+    }
+    let about = std::fs::symlink_metadata(&base)?;
+    if !about.is_dir() || about.permissions().mode() & 0o077 != 0 {
+        return Err(std::io::Error::other(format!("{} is open to others", base.display())));
+    }
+    Ok(base)
+}
+
+/// The socket for a port.
+fn socket(directory: &Path, port: &str) -> PathBuf {
+    let port = std::fs::canonicalize(port).unwrap_or_else(|_| PathBuf::from(port));
+    let name: String =
+        port.to_string_lossy().chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    directory.join(format!("{name}.sock"))
+}
+
+/// What came in on the socket, and where the answer goes.
+struct Request {
+    asked: Asked,
+    answer: Sender<String>,
+}
+
+/// A request the board has not answered yet.
+struct Waiting {
+    request: Request,
+    sequences: std::ops::Range<u32>,
+    since: Instant,
+    sent: Instant,
+}
+
+/// A port that other programs reach too.
+pub struct Relay<P> {
+    port: P,
+    socket: Option<PathBuf>,
+    requests: Option<Receiver<Request>>,
+    waiting: Vec<Waiting>,
+    decoder: Decoder,
+    sequence: u32,
+}
+
+impl<P: Port> Relay<P> {
+    /// Listens for what others ask of the board on `port`, which goes by `name`. Where no socket can be made the port works
+    /// all the same.
+    pub fn new(port: P, name: &str) -> Self {
+        let listening = directory().and_then(|directory| listen(&socket(&directory, name)));
+        let (socket, requests) = listening.map_or((None, None), |(path, requests)| (Some(path), Some(requests)));
+        Self { port, socket, requests, waiting: Vec::new(), decoder: Decoder::new(), sequence: FIRST_SEQUENCE }
+    }
+
+    /// Sends what others asked for, again where it is not answered.
+    fn pass_on(&mut self) -> Result<(), LinkError> {
+        let now = Instant::now();
+        while let Some(request) = self.requests.as_ref().and_then(|requests| requests.try_recv().ok()) {
+            let sequences = self.sequence..self.sequence;
+            self.waiting.push(Waiting { request, sequences, since: now, sent: now - AGAIN });
+        }
+        self.waiting.retain(|waiting| waiting.since.elapsed() < PATIENCE);
+        for waiting in self.waiting.iter_mut().filter(|waiting| waiting.sent.elapsed() >= AGAIN) {
+            let mut buffer = [0; MAX_ENCODED];
+            let header = Header { sequence: self.sequence, time_us: 0 };
+            let frame = frame::encode(header, &waiting.request.asked.message(), &mut buffer)
+                .expect("a stop and a hello fit a frame");
+            self.port.send(frame)?;
+            self.sequence = self.sequence.wrapping_add(1).max(FIRST_SEQUENCE);
+            (waiting.sequences.end, waiting.sent) = (self.sequence, now);
+        }
+        Ok(())
+    }
+
+    /// Looks for the board's answers in what it sends.
+    fn look(&mut self, bytes: &[u8]) {
+        if self.waiting.is_empty() {
+            return;
+        }
+        for &byte in bytes {
+            let Some(Ok((_, message))) = self.decoder.push::<DeviceMessage>(byte) else { continue };
+            self.waiting.retain(|waiting| {
+                let answer = match (&message, waiting.request.asked) {
+                    (DeviceMessage::Ack { of }, Asked::Stop) if waiting.sequences.contains(of) => {
+                        "\"stopped\"".to_owned()
+                    }
+                    (DeviceMessage::Hello(identity), Asked::Hello) => {
+                        serde_json::to_string(identity).expect("an identity is plain data")
+                    }
+                    _ => return true,
+                };
+                // Whoever asked may be gone.
+                let _ = waiting.request.answer.send(answer);
+                false
+            });
+        }
+    }
+}
+
+impl<P: Port> Port for Relay<P> {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.port.send(bytes)
+    }
+
+    fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
+        let deadline = Instant::now() + wait;
+        let before = into.len();
+        loop {
+            self.pass_on()?;
+            let left = deadline.saturating_duration_since(Instant::now());
+            self.port.receive(into, left.min(SLICE))?;
+            if into.len() > before || left.is_zero() {
+                self.look(&into[before..]);
+                return Ok(());
+            }
+        }
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.port.elapsed()
+    }
+
+    fn is_virtual(&self) -> bool {
+        self.port.is_virtual()
+    }
+}
+
+impl<P> Drop for Relay<P> {
+    fn drop(&mut self) {
+        if let Some(socket) = &self.socket {
+            let _ = std::fs::remove_file(socket);
+        }
+    }
+}
+
+/// Listens on a socket in a thread of its own, until the program ends.
+fn listen(path: &Path) -> std::io::Result<(PathBuf, Receiver<Request>)> {
+    let listener = match UnixListener::bind(path) {
+        Ok(listener) => listener,
+        // Left behind by a program that was killed: whoever listened would hold the port, and we would not.
+        Err(error) if error.kind() == std::io::ErrorKind::AddrInUse => {
+            std::fs::remove_file(path)?;
+            UnixListener::bind(path)?
+        }
+        Err(error) => return Err(error),
+    };
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))?;
+    let (sender, receiver) = channel();
+    std::thread::spawn(move || {
+        for stream in listener.incoming().flatten() {
+            // One that says nothing holds up the next for this long at most.
+            if let Ok(answer) = serve(&stream, &sender) {
+                let _ = writeln!(&stream, "{answer}");
+            }
+        }
+    });
+    Ok((path.to_owned(), receiver))
+}
+
+fn serve(stream: &UnixStream, requests: &Sender<Request>) -> std::io::Result<String> {
+    stream.set_read_timeout(Some(Duration::from_millis(200)))?;
+    stream.set_write_timeout(Some(Duration::from_millis(200)))?;
+    let mut line = String::new();
+    BufReader::new(stream.take(LINE)).read_line(&mut line)?;
+    let known = [Asked::Stop, Asked::Hello].into_iter().find(|asked| asked.word() == line.trim());
+    let Some(asked) = known else { return Ok("{\"error\":\"not understood\"}".to_owned()) };
+    let (answer, answered) = channel();
+    let failed = |reason: &str| Ok(format!("{{\"error\":\"{reason}\"}}"));
+    if requests.send(Request { asked, answer }).is_err() {
+        return failed("it no longer holds the port");
+    }
+    match answered.recv_timeout(PATIENCE) {
+        Ok(answer) => Ok(answer),
+        Err(_) => failed("the board did not answer"),
+    }
+}
+
+/// Asks through the program that holds the port.
+fn ask(port: &str, asked: Asked) -> Result<serde_json::Value, RelayError> {
+    let directory = directory().map_err(|error| RelayError::Failed(error.to_string()))?;
+    let path = socket(&directory, port);
+    let owner = |path: &Path| std::fs::symlink_metadata(path).map(|about| about.uid());
+    let (Ok(of_socket), Ok(of_directory)) = (owner(&path), owner(&directory)) else { return Err(RelayError::Nobody) };
+    if of_socket != of_directory {
+        return Err(RelayError::Foreign(path));
+    }
+    let stream = UnixStream::connect(&path).map_err(|_| RelayError::Nobody)?;
+    let failed = |error: std::io::Error| RelayError::Failed(error.to_string());
+    stream.set_read_timeout(Some(PATIENCE + Duration::from_millis(500))).map_err(failed)?;
+    writeln!(&stream, "{}", asked.word()).map_err(failed)?;
+    let mut answer = String::new();
+    BufReader::new(stream.take(4096)).read_line(&mut answer).map_err(failed)?;
+    let answer: serde_json::Value =
+        serde_json::from_str(&answer).map_err(|_| RelayError::Failed("it gave no answer".to_owned()))?;
+    match answer.get("error") {
+        Some(error) => Err(RelayError::Failed(error.as_str().unwrap_or_default().to_owned())),
+        None => Ok(answer),
+    }
+}
+
+/// Stops the motor through the program that holds the port; the board has acknowledged it.
+///
+/// # Errors
+/// Nobody of this user holds the port, or the board does not answer.
+pub fn stop_through(port: &str) -> Result<(), RelayError> {
+    ask(port, Asked::Stop).map(|_| ())
+}
+
+/// Who the board is, through the program that holds the port.
+///
+/// # Errors
+/// As [`stop_through`].
+pub fn hello_through(port: &str) -> Result<Identity, RelayError> {
+    let answer = ask(port, Asked::Hello)?;
+    serde_json::from_value(answer).map_err(|error| RelayError::Failed(error.to_string()))
+}
