@@ -40,7 +40,7 @@ const DUTIES: [f64; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
 const TRIALS: usize = 2;
 const SECONDS: f64 = 3.0;
 const PWM_HZ: f64 = 50.0;
-/// The motor of the experiment is of the flavour that the diagnosis starts from.
+/// The flavour that the diagnosis starts from.
 const FLAVOUR: Flavour = Flavour::Physical;
 
 /// What to hide.
