@@ -336,7 +336,7 @@ fn errors_name_their_cause_once() {
     };
     fails(&["velocity", "."], "b.csv:3:6: level `x` is not a number");
     fails(&["import", "."], "b.csv:3:6: level `x` is not a number");
-    fails(&["velocity", "nowhere"], "No such file or directory");
+    fails(&["velocity", "nowhere"], "no such file or folder");
     fails(&["velocity", "not.mcap"], "not a recording");
     fails(&["live", "nowhere.mcap", "--once"], "No such file or directory");
     fails(&["export", "nowhere.mcap", "--to", "csv", "x"], "No such file or directory");
