@@ -250,8 +250,9 @@ impl Recording {
     }
 }
 
-struct Builder {
-    recording: Recording,
+/// Puts a recording together from its items.
+pub(super) struct Builder {
+    pub(super) recording: Recording,
     session: u32,
     time_us: u64,
     configuration: Option<Configuration>,
@@ -260,7 +261,7 @@ struct Builder {
 }
 
 impl Builder {
-    fn new(metadata: Metadata) -> Self {
+    pub(super) fn new(metadata: Metadata) -> Self {
         Self {
             recording: Recording {
                 metadata,
@@ -282,7 +283,7 @@ impl Builder {
         }
     }
 
-    fn add(&mut self, item: Item) {
+    pub(super) fn add(&mut self, item: Item) {
         match item {
             Item::Device { session, host_time_ns, header, message } => {
                 let end_us = header.time_us;
