@@ -96,6 +96,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
 }
 
 fn planned(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
+    duration_ms(wanted.seconds).context("--seconds")?;
     if let Some(duty) = wanted.duties.iter().find(|d| !(0.0..=1.0).contains(*d)) {
         bail!("--duties: {duty} is outside 0 to 1");
     }
