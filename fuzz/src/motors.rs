@@ -9,7 +9,7 @@ pub fn motors(data: &[u8]) {
     match Motor::parse("fuzz.toml", text) {
         Err(error) => assert!(error.to_string().contains("fuzz.toml, line "), "{error}"),
         Ok(motor) => {
-            for flavour in [Flavour::Thesis, Flavour::Physical] {
+            for flavour in Flavour::ALL {
                 motor.parameters(flavour).check().expect("an accepted motor is within its bounds");
             }
             let written = motor.to_toml().expect("an accepted motor can be written");

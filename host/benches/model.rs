@@ -64,7 +64,7 @@ impl Measurement for CpuTime {
     }
 }
 
-const FLAVOURS: [Flavour; 2] = [Flavour::Thesis, Flavour::Physical];
+const FLAVOURS: [Flavour; 3] = Flavour::ALL;
 
 /// RK4 steps a second at 0.1 µs, rotor turning.
 fn carrier(criterion: &mut Criterion<CpuTime>) {

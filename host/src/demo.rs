@@ -1,15 +1,23 @@
-//! The demonstration: the firmware's own code drives a simulated motor along the thesis's sine, once under each named
-//! controller; the recordings are decoded, checked bit for bit and drawn.
+//! The demonstration: something is hidden in a simulated motor, an experiment is made on it and the cause looked for; then the
+//! firmware's own code drives a motor along the thesis's sine, once under each named controller. The recordings are decoded,
+//! checked bit for bit and drawn.
+
+pub mod hidden;
 
 use crate::compare::replay::{Replay, ReplayReport};
+use crate::diagnose::DiagnoseError;
 use crate::link::bench::{Action, Experiment, perform};
 use crate::link::{LinkError, Session, SimulatedLink, Tally};
+use crate::model::effects::{EffectError, EffectSet};
+use crate::model::motor::Motor;
+use crate::model::parameters::Flavour;
 use crate::output::{NewFolder, Output, OutputError};
+use crate::record::load::LoadError;
 use crate::record::measurement::ControlSpec;
 use crate::record::store::{Entry, Reader, Sender, StoreError};
 use crate::report::figure::{Figure, FigureError, Panel};
-use crate::report::html::Page;
-use crate::sim::Setup;
+use crate::sim::{NotOnABoard, Setup};
+use hidden::{Found, Hide};
 use serde::Serialize;
 use std::io::Write as _;
 use std::path::Path;
@@ -32,9 +40,27 @@ pub enum DemoError {
     /// The recordings.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// What cannot be hidden in a simulated board.
+    #[error(transparent)]
+    NotOnABoard(#[from] NotOnABoard),
+    /// An effect that is not there.
+    #[error(transparent)]
+    Effect(#[from] EffectError),
+    /// The runs of the experiment.
+    #[error(transparent)]
+    Load(#[from] LoadError),
+    /// The diagnosis.
+    #[error(transparent)]
+    Diagnose(#[from] DiagnoseError),
+    /// Its answer as JSON.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
     /// The pictures.
     #[error(transparent)]
     Figure(#[from] FigureError),
+    /// The folder of the experiment.
+    #[error("cannot make the experiment's folder: {0}")]
+    Folder(std::io::Error),
     /// The other files.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -73,14 +99,34 @@ struct Ticks {
     duration_us: Vec<u16>,
 }
 
+/// All that a demonstration found.
+#[derive(Clone, Debug, Serialize)]
+pub struct Demo {
+    /// The experiment on the motor with something hidden.
+    pub diagnosis: Found,
+    /// The two controllers.
+    pub controllers: Vec<RunSummary>,
+}
+
 /// Runs the demonstration into a new folder; `progress` is told what is being done.
 ///
 /// # Errors
-/// When the folder exists or a file in it cannot be written.
-pub fn run(folder: &Path, mut progress: impl FnMut(&str)) -> Result<Vec<RunSummary>, DemoError> {
+/// When the folder exists or a file in it cannot be written; for an effect that a board cannot have.
+pub fn run(folder: &Path, hide: &Hide, seed: u64, mut progress: impl FnMut(&str)) -> Result<Demo, DemoError> {
     let mut folder = NewFolder::begin(folder)?;
     let mut summaries = Vec::new();
-    let mut page = Page::new("twum demo").paragraph(
+    let recordings = folder.path().join("experiment");
+    std::fs::create_dir(&recordings).map_err(DemoError::Folder)?;
+    let (page, diagnosis) = hidden::experiment(&recordings, hide, seed, &mut progress)?;
+    let hidden = diagnosis.hidden.as_deref().unwrap_or("nothing");
+    let mut page = page
+        .heading("What was hidden")
+        .paragraph(&format!(
+            "Hidden in the simulated motor, with seed {seed}: {hidden}. The runs are in experiment/; `twum diagnose` takes \
+             that folder, and `twum demo --hide NAME` hides what you name."
+        ))
+        .heading("Two controllers");
+    page = page.paragraph(
         "The firmware's own code, run in virtual time on a simulated board, aligned a simulated 30 mm PCBMotor and tracked \
          89 counts (80.1°) at 1.257 rad/s for 20 s under both named controllers. Every frame was recorded; every control \
          tick in the recordings was recomputed with the same fixed-point step. Times of ticks are virtual.",
@@ -102,19 +148,24 @@ pub fn run(folder: &Path, mut progress: impl FnMut(&str)) -> Result<Vec<RunSumma
     }
     let page = page.heading("Table").table(&table_header(), &table_rows(&summaries));
     page.write(folder.path().join("report.html"))?;
+    folder.file("diagnosis.json", |out| write_json(out, &diagnosis))?;
     folder.finish()?;
-    Ok(summaries)
+    Ok(Demo { diagnosis, controllers: summaries })
 }
 
 fn track(recording: &Path, control: ControlSpec) -> Result<Tally, DemoError> {
     let spec = control.config().expect("the named controllers are valid; a test builds both");
-    let mut session = Session::new(SimulatedLink::new(Setup::default()));
+    let mut session = Session::new(SimulatedLink::new(Setup::hybrid(
+        &Motor::pcbmotor_30mm(),
+        Flavour::default(),
+        &EffectSet::default(),
+    )?));
     let experiment = Experiment {
         configuration: Some(Configuration::with_control(spec)),
         capture: CaptureMode { bits: true, edges: true, control: true },
         action: Action::Track(TrackRun { reference: THESIS_SINE, duration_ms: DURATION_MS }),
         recording: Some(recording.to_owned()),
-        motor: "simulated first-order motor".to_owned(),
+        motor: "pcbmotor-30mm".to_owned(),
     };
     let outcome = perform(&mut session, &experiment, None, |_| {})?;
     match outcome.run.map(|run| run.end) {
@@ -199,6 +250,11 @@ fn figure(name: &str, ticks: &Ticks) -> Figure {
         )
         .panel(Panel::new("time (s)", "error (°)").line("target - position", &ticks.against_time(ticks.errors_deg())))
         .panel(Panel::new("time (s)", "duty (signed)").line("duty", &ticks.against_time(ticks.duty.iter().copied())))
+}
+
+fn write_json(out: &mut Output, found: &Found) -> Result<(), DemoError> {
+    let text = serde_json::to_string_pretty(found)?;
+    writeln!(out, "{text}").map_err(|reason| out.failed(reason).into())
 }
 
 fn write_csv(out: &mut Output, ticks: &Ticks) -> Result<(), OutputError> {

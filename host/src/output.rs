@@ -278,7 +278,11 @@ impl NewFolder {
         };
         if held.path().parent() == Some(asked.as_path()) {
             // An empty folder of the user's keeps its owner and rights, and may be where the user stands.
-            for name in written {
+            let held_names = fs::read_dir(held.path()).map_err(failed)?;
+            let mut names: Vec<PathBuf> = held_names.flatten().map(|entry| entry.file_name().into()).collect();
+            // What has writers of its own, such as a recording, comes before what tells the folder is whole.
+            names.retain(|name| !written.contains(name));
+            for name in names.into_iter().chain(written) {
                 let to = asked.join(&name);
                 if fs::symlink_metadata(&to).is_ok() && held.path().join(&name).exists() {
                     return Err(OutputError::Exists(to));

@@ -100,9 +100,9 @@ fn foxglove_gets_the_values_and_events_of_the_view_on_loopback_alone() {
     for (key, _) in points[0].as_object().unwrap() {
         assert!(schema["properties"][key].is_object(), "{key} is not in the schema");
     }
-    // The reference is 89 counts of 0.9 degrees at 1.257 rad/s; what was followed of it stands in the recording's table.
+    // The reference is 89 counts of 0.9 degrees at 1.257 rad/s, from where the rotor stood: a few counts off the zero of its alignment.
     let peak = points.iter().filter_map(|point| point["target_deg"].as_f64()).fold(0.0, f64::max);
-    assert!((peak - 80.1).abs() < 1.0, "{peak}");
+    assert!((peak - 80.1).abs() < 3.0, "{peak}");
     let closest = points.iter().filter_map(|point| point["position_deg"].as_f64()).fold(0.0, f64::max);
     assert!((60.0..90.0).contains(&closest), "{closest}");
     let times: Vec<u64> = points.iter().map(|point| point["time_us"].as_u64().unwrap()).collect();

@@ -81,8 +81,9 @@ fn velocity_finds_mean_drift_and_ripple() {
     assert!((number(&ripple["drift_rpm_per_s"]) - 0.8).abs() < 0.03, "{ripple}");
     assert!((number(&ripple["ripple_rpm"][1]) - 4.0).abs() < 0.1, "{ripple}");
     assert!(number(&ripple["ripple_rpm"][0]) < 0.1 && number(&ripple["ripple_r2"]) > 0.99, "{ripple}");
-    let mean_rpm = ((34.4_f64).powi(2) - 16.0).sqrt();
-    assert!((number(&ripple["mean_rpm"]) + mean_rpm).abs() < 0.15, "{ripple}");
+    // Settled from 0.2 s on, 34.32 rpm in the middle; the 2.15 turns leave a part of the ripple in the mean.
+    let mean_rpm = ((34.32_f64).powi(2) - 16.0).sqrt();
+    assert!((number(&ripple["mean_rpm"]) + mean_rpm).abs() < 0.25, "{ripple}");
     assert!((number(&steady["mean_rpm"]) + 30.9).abs() < 0.03, "{steady}");
     assert!((number(&steady["duration_s"]) - 3.999).abs() < 1e-9, "{steady}");
     // 30.9 rpm over 4 s at 400 edges a turn.
@@ -100,6 +101,49 @@ fn velocity_finds_mean_drift_and_ripple() {
     let missing = twum(dir.path(), &["velocity", ".", "--run", "other"]);
     assert_eq!(missing.status.code(), Some(2));
     assert!(String::from_utf8(missing.stderr).unwrap().contains("no run other; it has: ripple, steady"));
+}
+
+/// What one command says of a run, every other says of it: no figure has two values.
+#[test]
+fn commands_agree_on_the_figures_of_a_run() {
+    let dir = tempfile::tempdir().unwrap();
+    // Rises within 20 ms, 35.05 rpm until the drive ends at 2 s, brakes for 50 ms, stands for another second.
+    let rpm = |t: f64, _: f64| match t {
+        t if t < 0.02 => 0.0,
+        t if t < 2.0 => 35.05 * (1.0 - (-(t - 0.02) / 0.015).exp()),
+        t if t < 2.05 => 35.05 * (1.0 - (t - 2.0) / 0.05),
+        _ => 0.0,
+    };
+    let run = speed_run("run", 1.0).replace("drive_on_s = 4.0", "drive_on_s = 2.0");
+    write(dir.path(), &run, &[("run.csv", levels(3.0, rpm))]);
+    let velocity = json(&twum(dir.path(), &["velocity", ".", "--json", "--run", "run", "--plot", "v.svg"]))[0].clone();
+    assert!((number(&velocity["mean_rpm"]) + 35.05).abs() < 0.01, "{velocity}");
+    assert!(
+        number(&velocity["drift_rpm_per_s"]).abs() < 0.05 && number(&velocity["ripple_rpm"][0]) < 0.1,
+        "{velocity}"
+    );
+    assert!((number(&velocity["stop_s"]) - 0.0475).abs() < 0.02, "{velocity}");
+    assert!((number(&velocity["coast_deg"]) - 0.5 * 35.05 * 6.0 * 0.05).abs() < 1.0, "{velocity}");
+
+    let compare = json(&twum(dir.path(), &["compare", ".", "--json", "--plot", "c.svg", "--report", "c.html"]));
+    let measured = &compare["simulation"]["runs"][0]["measured"];
+    // The direction is ccw, which velocity signs and compare takes as forwards.
+    for key in ["mean_rpm", "start_peak_rpm"] {
+        assert_eq!(number(&velocity[key]), -number(&measured[key]), "{key}");
+    }
+    for key in ["rise_s", "stop_s", "overshoot", "coast_deg"] {
+        assert_eq!(velocity[key], measured[key], "{key}");
+    }
+    assert_eq!(measured["settled_rpm"], measured["mean_rpm"]);
+
+    let shown = |decimals: usize| format!("{:.decimals$}", -number(&velocity["mean_rpm"]));
+    let text = |args: &[&str]| String::from_utf8(twum(dir.path(), args).stdout).unwrap();
+    assert!(text(&["velocity", "."]).contains(&format!("-{}", shown(3))));
+    assert!(text(&["compare", "."]).contains(&shown(3)));
+    let file = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
+    assert!(file("v.svg").contains(&format!("mean \u{2212}{} rpm settled", shown(2))));
+    assert!(file("c.svg").contains(&format!("mean \u{2212}{} rpm settled", shown(2))));
+    assert!(file("c.html").contains(&shown(3)));
 }
 
 #[test]
@@ -234,9 +278,8 @@ fn both_read_recordings() {
     let found = json(&run(&["compare", "track.mcap", "--json"]))["closed_loops"][0].clone();
     assert_eq!(found["controller"]["mismatched"].as_u64(), Some(0), "{found}");
     assert_eq!(number(&found["actuator"]["duty_rms"]), 0.0, "{found}");
-    // The simulated board's motor starts with a time constant of 6 ms, the replayed one within a millisecond or two: only the
-    // plant's residual shows it.
-    assert!((0.5..0.9).contains(&number(&found["plant"]["gain"])), "{found}");
+    // The simulated board's motor is the one that is replayed.
+    assert!((0.95..1.05).contains(&number(&found["plant"]["gain"])), "{found}");
     assert_eq!(number(&found["sensor"]["largest_jump"]), 1.0, "{found}");
 }
 
@@ -304,4 +347,38 @@ fn errors_name_their_cause_once() {
     fails(&["velocity", ".", "--plot", "a.pdf"], "a figure is written as .svg or .png");
     fails(&["velocity", ".", "--period-us", "1e-9"], "are the most: take a longer period");
     fails(&["velocity", ".", "--method", "thesis-butterworth", "--csv", "nowhere/a.csv"], "No such file or directory");
+}
+
+/// A recording plots as it is: a public MCAP reader finds the motion in it, with its schema, equal to what the frames say.
+#[test]
+fn recordings_hold_the_motion_for_other_programs() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = ["track", "--port", "sim", "--seconds", "4", "--out", "track.mcap", "--json"];
+    let said = json(&twum(dir.path(), &args));
+    let bytes = std::fs::read(dir.path().join("track.mcap")).unwrap();
+    let mut motion: Vec<Value> = Vec::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        if message.channel.topic == "/twum/motion" {
+            let schema = message.channel.schema.as_ref().expect("the channel has a schema");
+            let properties: Value = serde_json::from_slice(&schema.data).unwrap();
+            assert_eq!((schema.name.as_str(), schema.encoding.as_str()), ("twum.Motion", "jsonschema"));
+            let one: Value = serde_json::from_slice(&message.data).unwrap();
+            let known = one.as_object().unwrap().keys().all(|key| properties["properties"].get(key).is_some());
+            assert!(known, "{one}");
+            motion.push(one);
+        }
+    }
+    let tracked: Vec<&Value> = motion.iter().filter(|m| m.get("error_deg").is_some()).collect();
+    // 2000 ticks a second in blocks of 16.
+    assert!((480..=510).contains(&tracked.len()), "{}", tracked.len());
+    for m in &tracked {
+        let off = number(&m["target_deg"]) - number(&m["position_deg"]) - number(&m["error_deg"]);
+        assert!(off.abs() < 2e-3, "{m}");
+        assert!((number(&m["position"]) * 0.9 - number(&m["position_deg"])).abs() < 1e-3, "{m}");
+    }
+    let mean = tracked.iter().map(|m| number(&m["error_deg"]).abs()).sum::<f64>() / tracked.len() as f64;
+    let of_all = number(&said["motor"]["mean_abs_deg"]);
+    assert!((mean / of_all - 1.0).abs() < 0.1, "{mean} of every block's last tick, {of_all} of all ticks");
+    assert!(tracked.iter().any(|m| number(&m["speed_rpm"]).abs() > 5.0));
 }

@@ -18,7 +18,7 @@ fn slower_motor() -> String {
     let at = shipped.find("\n[physical.eta]").expect("the file has eta");
     let value = at + shipped[at..].find("value = ").expect("it has a value") + "value = ".len();
     let end = value + shipped[value..].find([',', '\n', ' ', '}']).unwrap();
-    format!("{}{}{}", &shipped[..value], 0.3, &shipped[end..])
+    format!("{}{}{}", &shipped[..value], 0.05, &shipped[end..])
 }
 
 #[test]

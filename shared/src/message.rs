@@ -161,8 +161,8 @@ pub enum ResetCause {
 pub struct Identity {
     /// Firmware version.
     pub firmware: String<24>,
-    /// Chip, or `simulated`.
-    pub chip: String<16>,
+    /// Chip, or `simulated` and what is.
+    pub chip: String<48>,
     /// Why it last started.
     pub reset: ResetCause,
     /// Its state now.

@@ -26,7 +26,7 @@ pub struct About {
     /// Firmware version.
     pub firmware: String<24>,
     /// Chip name, or `simulated`.
-    pub chip: String<16>,
+    pub chip: String<48>,
     /// Why the board last started.
     pub reset: ResetCause,
 }

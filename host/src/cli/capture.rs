@@ -23,7 +23,7 @@ pub struct Args {
     #[arg(long, default_value_t = 3600.0)]
     seconds: f64,
     /// Streams to capture
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Stream::Bits, Stream::Edges, Stream::Control])]
+    #[arg(long, value_enum, value_delimiter = ',', num_args = 1.., default_values_t = [Stream::Bits, Stream::Edges, Stream::Control])]
     streams: Vec<Stream>,
 }
 
@@ -49,12 +49,12 @@ pub fn run(args: Args) -> Result<ExitCode> {
     };
     let spinner = spinner();
     let mut frames = 0u64;
-    let outcome = args.connect.perform(&experiment, |_| {
+    let outcome = args.connect.perform(experiment, |_| {
         frames += 1;
         if frames.is_multiple_of(10) {
             spinner.set_message(format!("{frames} frames"));
         }
     })?;
     spinner.finish_and_clear();
-    args.record.conclude(&outcome)
+    args.record.conclude(&outcome, None)
 }

@@ -45,8 +45,8 @@ pub struct Args {
     #[arg(long, value_name = "MOTOR")]
     motor: Option<String>,
     /// Which reading of the motor model is simulated
-    #[arg(long, value_enum, default_value_t = FlavourArg::Physical)]
-    flavour: FlavourArg,
+    #[arg(long, value_enum, default_value_t)]
+    flavour: Flavour,
     /// Allow this much RMSE of the speed
     #[arg(long, value_name = "RPM")]
     max_rmse_rpm: Option<f64>,
@@ -59,14 +59,6 @@ pub struct Args {
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum FlavourArg {
-    /// Formula for formula as the thesis lists it
-    Thesis,
-    /// What the listing gets wrong put right
-    Physical,
 }
 
 /// Everything found, for JSON.
@@ -122,10 +114,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
 fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
     let motor = motor_of(measurement, args.motor.as_deref())?
         .context("an ordinary motor has no motor file to simulate: `twum diagnose` takes it")?;
-    let flavour = match args.flavour {
-        FlavourArg::Thesis => Flavour::Thesis,
-        FlavourArg::Physical => Flavour::Physical,
-    };
+    let flavour = args.flavour;
     let is_open_loop = |run: &&twum_host::record::measurement::Run| run.kind == RunKind::Speed && run.duty.is_some();
     let simulation = match measurement.runs.iter().find(is_open_loop) {
         Some(_) => Some(compare(measurement, &motor, flavour)?),

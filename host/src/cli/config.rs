@@ -1,6 +1,8 @@
-//! `twum config`: the configuration a board holds, shown, written to a file, loaded from one, and compared with one.
+//! `twum config`: the configuration a board holds, shown, written to a file, loaded from one, and compared with one; and the
+//! file of the user's own defaults.
 
 use super::connect::ConnectArgs;
+use super::defaults;
 use anyhow::{Context, Result, bail};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -12,10 +14,10 @@ use twum_shared::step::ConfigSpec;
 
 /// Arguments of `twum config`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  twum config show --port /dev/ttyUSB0\n  \
+#[command(after_help = format!("Examples:\n  twum config show --port /dev/ttyUSB0\n  \
                         twum config dump --port /dev/ttyUSB0 > bench.toml\n  \
                         twum config load --port /dev/ttyUSB0 bench.toml\n  \
-                        twum config diff --port /dev/ttyUSB0 bench.toml")]
+                        twum config diff --port /dev/ttyUSB0 bench.toml\n\n{}", defaults::EXAMPLE))]
 pub struct Args {
     #[command(subcommand)]
     command: Command,
@@ -51,6 +53,14 @@ enum Command {
         /// TOML file, or `-` for standard input
         #[arg(default_value = "-")]
         file: PathBuf,
+    },
+    /// Print where the file of your own defaults is, or would be
+    Path,
+    /// Print what that file says
+    Defaults {
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
     },
 }
 
@@ -94,6 +104,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
         }
         Command::Dump { connect } => print!("{}", to_toml(&held(&connect)?)),
         Command::Load { connect, file } => return load(&connect, &file),
+        Command::Path => println!("{}", defaults::path()?.display()),
+        Command::Defaults { json: true } => println!("{}", serde_json::to_string(&defaults::load()?)?),
+        Command::Defaults { json: false } => print!("{}", toml::to_string(&defaults::load()?)?),
         Command::Diff { connect, file } => {
             let text = read(&file)?;
             let board = held(&connect)?;

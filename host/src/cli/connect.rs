@@ -1,33 +1,33 @@
 //! Arguments every command that talks to a board shares.
 
-use super::exit;
+use super::configuration::ConfigurationArgs;
+use super::motor::MotorArgs;
 use super::signals::on_signal;
+use super::{defaults, exit};
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use twum_host::configuration::{difference, overlay_only_limits, validate};
-use twum_host::input;
-use twum_host::link::bench::{Experiment, Outcome, perform};
+use twum_host::configuration::difference;
+use twum_host::link::bench::{Action, Experiment, Outcome, perform};
 use twum_host::link::relay;
 use twum_host::link::{LinkError, Port, Received, SerialLink, Session, SimulatedLink, is_motor_held};
-use twum_host::model::motor::Motor;
-use twum_host::record::measurement::ControlSpec;
-use twum_host::sim::Setup;
-use twum_shared::encoder::CountSign;
+use twum_host::report::run::RunFigures;
 use twum_shared::message::{CaptureMode, Configuration, RunEnd};
 use twum_shared::step::ConfigSpec;
 
 /// Which board, and how to reach it.
 #[derive(Debug, clap::Args)]
 pub struct ConnectArgs {
-    /// Serial port or pseudo-terminal, or `sim` for a simulated board in memory
+    /// Serial port or pseudo-terminal, or `sim` for a simulated board in memory [default: that of `twum config path`]
     #[arg(long, short, env = "TWUM_PORT")]
-    port: String,
+    port: Option<String>,
     /// Reset the board through RTS when the port is opened
     #[arg(long)]
     reset: bool,
+    #[command(flatten)]
+    motor: MotorArgs,
 }
 
 /// Set by Ctrl-C, a termination or a closed window; a second one ends the program at once, unless the motor is still being
@@ -58,15 +58,29 @@ pub enum Reached<T> {
 
 impl ConnectArgs {
     /// The port's name.
-    pub fn port(&self) -> &str {
-        &self.port
+    pub fn port(&self) -> Result<String> {
+        let known = self.port.clone().or(defaults::load()?.port);
+        known.context(
+            "no port: give --port, set TWUM_PORT, or set it in the file of `twum config path` (`sim` needs no board)",
+        )
     }
 
-    fn open(&self) -> Result<Box<dyn Port>, LinkError> {
-        if self.port == "sim" {
-            return Ok(Box::new(SimulatedLink::new(Setup::default())));
+    /// Whether the port was given on the command line, or at least is not the environment's.
+    pub fn is_explicit(&self) -> bool {
+        self.port.is_some() && std::env::var("TWUM_PORT").ok() != self.port
+    }
+
+    fn open(&self) -> Result<Box<dyn Port>> {
+        let port = self.port()?;
+        if port == "sim" {
+            return Ok(Box::new(SimulatedLink::new(self.motor.simulated()?)));
         }
-        Ok(Box::new(relay::Relay::new(SerialLink::open(&self.port, self.reset)?, &self.port)))
+        self.motor.is_of_a_real_board()?;
+        Ok(self.serial(&port)?)
+    }
+
+    fn serial(&self, port: &str) -> Result<Box<dyn Port>, LinkError> {
+        Ok(Box::new(relay::Relay::new(SerialLink::open(port, self.reset)?, port)))
     }
 
     /// Opens the port and a session that Ctrl-C interrupts.
@@ -83,36 +97,60 @@ impl ConnectArgs {
             Ok(session) => return Ok(Reached::Port(Box::new(session))),
             Err(error) => error,
         };
-        match through(&self.port) {
+        match through(&self.port()?) {
             Ok(answer) => Ok(Reached::Through(answer)),
             Err(relay::RelayError::Nobody) => Err(cannot_open),
             Err(error) => Err(cannot_open.context(error.to_string())),
         }
     }
 
-    /// Performs an experiment; a lost port is waited for and opened again.
-    pub fn perform(&self, experiment: &Experiment, observe: impl FnMut(&Received)) -> Result<Outcome> {
-        let mut session = self.session()?;
-        let mut reopen = || self.open();
-        Ok(perform(&mut session, experiment, Some(&mut reopen), observe)?)
+    /// Asks the board who it is; what recordings of it keep of its motor.
+    pub fn motor(&self, session: &mut Session<Box<dyn Port>>) -> Result<String> {
+        self.motor.kept(&session.hello()?.chip)
     }
 
-    /// Performs an experiment with what the board is configured with and `configuration` changes. Afterwards the board has its own configuration again.
+    /// Performs an experiment; a lost port is waited for and opened again. The recording keeps the board's motor.
+    pub fn perform(&self, mut experiment: Experiment, observe: impl FnMut(&Received)) -> Result<Outcome> {
+        let mut session = self.session()?;
+        experiment.motor = self.motor(&mut session)?;
+        self.conduct(&mut session, &experiment, observe)
+    }
+
+    /// Performs what `action` makes of the configuration: what the board is configured with and `configuration` changes.
+    /// Afterwards the board has its own configuration again.
     pub fn perform_with(
         &self,
         configuration: &ConfigurationArgs,
-        mut experiment: Experiment,
+        action: impl Fn(&Configuration) -> Result<Action>,
+        recording: Option<PathBuf>,
         observe: impl FnMut(&Received),
     ) -> Result<Outcome> {
         // What is wrong with the arguments is said before the port is opened.
-        configuration.over(Configuration::with_control(ConfigSpec::DEFAULT))?;
+        action(&configuration.over(Configuration::with_control(ConfigSpec::DEFAULT))?)?;
         let mut session = self.session()?;
         let own = own_configuration(&mut session)?;
-        experiment.configuration = Some(configuration.over(own)?);
-        let mut reopen = || self.open();
-        let outcome = perform(&mut session, &experiment, Some(&mut reopen), observe);
-        restore(&mut session, own, experiment.configuration.unwrap_or(own));
-        Ok(outcome?)
+        let used = configuration.over(own)?;
+        let experiment = Experiment {
+            configuration: Some(used),
+            capture: ALL_STREAMS,
+            action: action(&used)?,
+            recording,
+            motor: self.motor(&mut session)?,
+        };
+        let outcome = self.conduct(&mut session, &experiment, observe);
+        restore(&mut session, own, used);
+        outcome
+    }
+
+    fn conduct(
+        &self,
+        session: &mut Session<Box<dyn Port>>,
+        experiment: &Experiment,
+        observe: impl FnMut(&Received),
+    ) -> Result<Outcome> {
+        let port = self.port()?;
+        let mut reopen = || self.serial(&port);
+        Ok(perform(session, experiment, Some(&mut reopen), observe)?)
     }
 }
 
@@ -137,98 +175,6 @@ pub fn restore<P: Port>(session: &mut Session<P>, own: Configuration, used: Conf
             "warning: the board keeps this run's {}: {error}; `twum config load` puts them right",
             keys.join(", ")
         );
-    }
-}
-
-/// How to run the motor. What is not given is as the board is configured; a board without a configuration gets the default.
-#[derive(Debug, clap::Args)]
-pub struct ConfigurationArgs {
-    /// Controller: `thesis`, `default`, or a TOML file of gains [default: the board's]
-    #[arg(long)]
-    control: Option<String>,
-    /// Encoder edges a revolution [default: the board's]
-    #[arg(long)]
-    edges_per_rev: Option<u16>,
-    /// PWM frequency, Hz [default: the board's]
-    #[arg(long)]
-    pwm_hz: Option<u16>,
-    /// TOML file of limits, or a whole configuration whose `[limits]` are taken
-    #[arg(long, value_name = "FILE", help_heading = "Limits for this run")]
-    limits: Option<PathBuf>,
-    /// Largest position error while tracking, counts
-    #[arg(long, value_name = "COUNTS", help_heading = "Limits for this run")]
-    max_following_error: Option<u32>,
-    /// Positions allowed, counts: MIN:MAX, or one number for both sides
-    #[arg(long, value_name = "MIN:MAX", allow_hyphen_values = true, help_heading = "Limits for this run")]
-    position_bound: Option<String>,
-    /// How long a driven motor may go without an encoder edge, ms
-    #[arg(long, value_name = "MS", help_heading = "Limits for this run")]
-    stall: Option<u16>,
-    /// Fastest motion allowed, counts/s
-    #[arg(long, value_name = "COUNTS/S", help_heading = "Limits for this run")]
-    overspeed: Option<u32>,
-    /// Silence of this computer that stops the motor, ms
-    #[arg(long, value_name = "MS", help_heading = "Limits for this run")]
-    timeout: Option<u16>,
-    /// Which way the count moves while the direction pin is high [default: the board's]
-    #[arg(long, value_enum)]
-    count_sign: Option<Sign>,
-    /// Motor on the bench, a shipped one or a motor file: its content is kept in the recording
-    #[arg(long, value_name = "NAME|FILE", default_value = "pcbmotor-30mm")]
-    motor: String,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Sign {
-    Positive,
-    Reversed,
-}
-
-impl ConfigurationArgs {
-    /// What the recording keeps of the motor.
-    pub fn motor(&self) -> Result<String> {
-        Ok(Motor::kept(&self.motor)?)
-    }
-
-    /// `base` with what was given.
-    pub fn over(&self, base: Configuration) -> Result<Configuration> {
-        let mut configuration = base;
-        if let Some(file) = &self.limits {
-            let text = input::text(file, input::WRITTEN).with_context(|| file.display().to_string())?;
-            configuration = overlay_only_limits(&configuration, &text).with_context(|| file.display().to_string())?;
-        }
-        if let Some(control) = &self.control {
-            configuration.control = ControlSpec::named(control)?.config()?;
-        }
-        if let Some(bound) = &self.position_bound {
-            (configuration.limits.position_min, configuration.limits.position_max) = position_bound(bound)?;
-        }
-        let limits = &mut configuration.limits;
-        limits.following_error_counts = self.max_following_error.unwrap_or(limits.following_error_counts);
-        limits.stall_ms = self.stall.unwrap_or(limits.stall_ms);
-        limits.overspeed_counts_s = self.overspeed.unwrap_or(limits.overspeed_counts_s);
-        limits.command_timeout_ms = self.timeout.unwrap_or(limits.command_timeout_ms);
-        configuration.edges_per_rev = self.edges_per_rev.unwrap_or(configuration.edges_per_rev);
-        configuration.pwm_hz = self.pwm_hz.unwrap_or(configuration.pwm_hz);
-        configuration.count_sign = match self.count_sign {
-            Some(Sign::Positive) => CountSign::Positive,
-            Some(Sign::Reversed) => CountSign::Reversed,
-            None => configuration.count_sign,
-        };
-        validate(&configuration)?;
-        Ok(configuration)
-    }
-}
-
-fn position_bound(text: &str) -> Result<(i32, i32)> {
-    let number =
-        |word: &str| word.trim().parse::<i32>().with_context(|| format!("--position-bound: `{word}` is no count"));
-    match text.split_once(':') {
-        Some((min, max)) => Ok((number(min)?, number(max)?)),
-        None => {
-            let both = number(text)?;
-            Ok((both.saturating_neg(), both))
-        }
     }
 }
 
@@ -259,7 +205,7 @@ impl RecordArgs {
     }
 
     /// Prints how it went.
-    pub fn conclude(&self, outcome: &Outcome) -> Result<ExitCode> {
+    pub fn conclude(&self, outcome: &Outcome, motor: Option<&RunFigures>) -> Result<ExitCode> {
         let verdict = self.verdict(outcome);
         exit::decide(&verdict);
         let end = outcome.run.map(|run| run.end);
@@ -274,10 +220,13 @@ impl RecordArgs {
                 "{}",
                 serde_json::json!({
                     "interrupted": outcome.interrupted, "fault": fault, "run_s": seconds, "link": tally,
-                    "recorded_frames": outcome.recorded, "recording": self.out,
+                    "recorded_frames": outcome.recorded, "recording": self.out, "motor": motor,
                 })
             );
         } else {
+            if let Some(motor) = motor {
+                print!("{motor}");
+            }
             println!(
                 "frames: {} received, {} lost, {} bad; longest gap {} frames; {} restarts, {} reconnects",
                 tally.received, tally.lost, tally.bad, tally.longest_gap, tally.restarts, tally.reconnects
@@ -285,6 +234,9 @@ impl RecordArgs {
             if let Some(path) = &self.out {
                 println!("recorded {} frames in {}", outcome.recorded, path.display());
             }
+        }
+        for warning in motor.map(RunFigures::warnings).into_iter().flatten() {
+            eprintln!("warning: {warning}");
         }
         if matches!(verdict, Ok(1)) {
             eprintln!("error: frames were lost; the recording marks where (--allow-loss to accept)");

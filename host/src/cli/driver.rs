@@ -37,7 +37,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         recording: args.record.out.clone(),
         motor: String::new(),
     };
-    let outcome = args.connect.perform(&experiment, |received| {
+    let outcome = args.connect.perform(experiment, |received| {
         if let DeviceMessage::DriverReply(bytes) = &received.message {
             let reply = String::from_utf8_lossy(bytes);
             let lines: Vec<String> = reply.split('\n').map(|line| printable(line.trim_end_matches('\r'))).collect();
@@ -45,5 +45,5 @@ pub fn run(args: Args) -> Result<ExitCode> {
             let _ = std::io::stdout().write_all(lines.join("\n").as_bytes());
         }
     })?;
-    args.record.conclude(&outcome)
+    args.record.conclude(&outcome, None)
 }

@@ -1,9 +1,10 @@
 //! `twum experiment`.
 
-use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, duration_ms, own_configuration, restore};
+use super::configuration::ConfigurationArgs;
+use super::connect::{ALL_STREAMS, ConnectArgs, duration_ms, own_configuration, restore};
 use super::diagnose::{motor_of, runs_of};
-use super::exit;
-use anyhow::{Context, Result, bail};
+use super::{exit, units};
+use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -14,10 +15,9 @@ use twum_host::link::LinkError;
 use twum_host::link::bench::{Action, Experiment, perform};
 use twum_host::link::{Port, Session};
 use twum_host::model::parameters::Flavour;
-use twum_host::record::export::{EncoderSource, to_measurement};
-use twum_host::record::measurement::Measurement;
-use twum_host::record::recording::Recording;
+use twum_host::record::series::{Series, SeriesError, SeriesRun};
 use twum_shared::message::{Configuration, SpeedRun};
+use twum_shared::step::ConfigSpec;
 use twum_shared::{Direction, Duty};
 
 /// Arguments of `twum experiment`.
@@ -32,21 +32,26 @@ enum What {
     /// Say which runs to make next, as commands that can be pasted
     Plan(PlanArgs),
     /// Make them on a board, real or simulated, into a measurement folder
-    Run(RunArgs),
+    Run(Box<RunArgs>),
 }
+
+/// A first experiment: every tenth of the duty, thrice, long enough for three turns at full drive.
+const DUTIES: &str = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0";
+const TRIALS: usize = 3;
+const SECONDS: f64 = 5.0;
 
 #[derive(Debug, clap::Args)]
 struct Wanted {
     /// Folders measured so far; without any, a first experiment is planned
     folders: Vec<PathBuf>,
     /// Duties of a first experiment
-    #[arg(long, value_delimiter = ',', default_value = "0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9,1.0")]
-    duties: Vec<f64>,
+    #[arg(long, value_delimiter = ',', default_value = DUTIES)]
+    duties: Vec<String>,
     /// Repetitions of each duty and direction in a first experiment
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = TRIALS)]
     trials: usize,
     /// Length of each run of a first experiment, s
-    #[arg(long, default_value_t = 5.0)]
+    #[arg(long, default_value_t = SECONDS)]
     seconds: f64,
 }
 
@@ -75,33 +80,27 @@ struct RunArgs {
     connect: ConnectArgs,
     #[command(flatten)]
     configuration: ConfigurationArgs,
-    /// New folder: recordings and the measurement made of them
+    /// New folder: the plan, the recordings, and the measurement made of them
     #[arg(long, short)]
     out: PathBuf,
+    /// Go on with the folder's own plan, with the runs that are not finished
+    #[arg(long)]
+    resume: bool,
 }
 
 /// Runs `twum experiment`.
 pub fn run(args: Args) -> Result<ExitCode> {
     match args.what {
         What::Plan(args) => plan(&args),
-        What::Run(args) => {
-            let mut session = args.connect.session()?;
-            let own = own_configuration(&mut session)?;
-            let mut used = own;
-            let result = make(&args, &mut session, own, &mut used);
-            restore(&mut session, own, used);
-            result
-        }
+        What::Run(args) => make(&args),
     }
 }
 
 fn planned(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
     duration_ms(wanted.seconds).context("--seconds")?;
-    if let Some(duty) = wanted.duties.iter().find(|d| !(0.0..=1.0).contains(*d)) {
-        bail!("--duties: {duty} is outside 0 to 1");
-    }
+    let duties = wanted.duties.iter().map(|d| units::duty(d)).collect::<Result<Vec<_>>>().context("--duties")?;
     if wanted.folders.is_empty() {
-        return Ok(first_experiment(&wanted.duties, wanted.trials, wanted.seconds, 50.0));
+        return Ok(first_experiment(&duties, wanted.trials, wanted.seconds, 50.0));
     }
     let mut measurements = Vec::new();
     for folder in &wanted.folders {
@@ -140,91 +139,141 @@ fn plan(args: &PlanArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Makes the runs, on a board whose own configuration is `own`; `used` is what it was given last.
-fn make(
-    args: &RunArgs,
-    session: &mut Session<Box<dyn Port>>,
-    own: Configuration,
-    used: &mut Configuration,
-) -> Result<ExitCode> {
-    let runs = planned(&args.wanted)?;
-    if runs.is_empty() {
+/// The plan as the folder keeps it.
+fn series_of(runs: &[PlannedRun]) -> Vec<SeriesRun> {
+    let run = |(number, run): (usize, &PlannedRun)| SeriesRun {
+        id: run.id(number),
+        duty: run.duty,
+        direction: run.direction.to_owned(),
+        pwm_hz: run.pwm_hz,
+        seconds: run.seconds,
+        pause_s: run.pause_s,
+        why: run.why.clone(),
+    };
+    runs.iter().enumerate().map(run).collect()
+}
+
+impl Wanted {
+    /// Whether a plan is asked for; none is when all is left as it is by default.
+    fn is_default(&self) -> bool {
+        self.folders.is_empty() && self.duties.join(",") == DUTIES && self.trials == TRIALS && self.seconds == SECONDS
+    }
+}
+
+/// The series to begin, or to go on with; nothing when nothing is open.
+enum Task {
+    Begin(Vec<SeriesRun>),
+    Resume(Series),
+}
+
+fn task(args: &RunArgs) -> Result<Option<Task>> {
+    if args.resume {
+        let asked = if args.wanted.is_default() { None } else { Some(series_of(&planned(&args.wanted)?)) };
+        return Ok(Some(Task::Resume(Series::resume(&args.out, asked.as_deref())?)));
+    }
+    if args.out.exists() {
+        return Err(SeriesError::Exists(args.out.clone()).into());
+    }
+    let runs = series_of(&planned(&args.wanted)?);
+    Ok((!runs.is_empty()).then_some(Task::Begin(runs)))
+}
+
+fn make(args: &RunArgs) -> Result<ExitCode> {
+    // What is wrong with the arguments is said before the port is opened, and a refused command leaves no folder.
+    let Some(task) = task(args)? else {
         eprintln!("nothing is open that another run would decide");
         return Ok(ExitCode::SUCCESS);
+    };
+    args.configuration.over(Configuration::with_control(ConfigSpec::DEFAULT))?;
+    let mut session = args.connect.session()?;
+    let own = own_configuration(&mut session)?;
+    let motor = args.connect.motor(&mut session)?;
+    let series = match task {
+        Task::Begin(runs) => Series::begin(&args.out, runs)?,
+        Task::Resume(series) => series,
+    };
+    let mut used = own;
+    let result = perform_all(args, &series, &mut session, &motor, &mut used);
+    restore(&mut session, own, used);
+    let verdict = match result {
+        Ok(None) => Ok(0),
+        Ok(Some((id, error))) => Err(anyhow::Error::from(error).context(format!("run {id}"))),
+        Err(error) => Err(error),
+    };
+    exit::decide(&verdict);
+    conclude(args, &series, verdict)
+}
+
+/// However the series ended, what was made to its end becomes a measurement.
+fn conclude(args: &RunArgs, series: &Series, verdict: Result<u8>) -> Result<ExitCode> {
+    let measured = series.measure();
+    let made = measured.as_ref().ok().and_then(|(saved, _)| saved.as_ref()).map_or(0, |saved| saved.runs.len());
+    if verdict.is_err() {
+        eprintln!(
+            "{made} of {} runs were made; {} keeps what was recorded, and `twum experiment run --resume --out {}` goes on",
+            series.runs().len(),
+            series.recordings().display(),
+            args.out.display()
+        );
     }
-    let motor = args.configuration.motor()?;
-    if args.out.exists() {
-        bail!("{} exists already: name a new folder", args.out.display());
+    match measured {
+        Ok((saved, notes)) => {
+            notes.iter().for_each(|note| eprintln!("{note}"));
+            if let Some(saved) = saved {
+                println!("{}", saved.folder.display());
+                eprintln!("{made} of {} runs; next: twum diagnose {}", series.runs().len(), args.out.display());
+            }
+        }
+        // Why the runs ended is what there is to say first.
+        Err(error) if verdict.is_err() => eprintln!("no measurement was made of them: {error}"),
+        Err(error) => return Err(error.into()),
     }
-    let recordings = args.out.join("recordings");
-    std::fs::create_dir_all(&recordings).with_context(|| format!("making {}", recordings.display()))?;
+    verdict.map(ExitCode::from)
+}
+
+/// Makes the runs that are not made yet, on a board whose own configuration is `used` at first, and which it was given last
+/// afterwards; the run that was cut short, and by what.
+fn perform_all(
+    args: &RunArgs,
+    series: &Series,
+    session: &mut Session<Box<dyn Port>>,
+    motor: &str,
+    used: &mut Configuration,
+) -> Result<Option<(String, LinkError)>> {
+    let (runs, own) = (series.runs(), *used);
     let bar = ProgressBar::new(runs.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
-    let mut whole: Option<Measurement> = None;
-    let mut cut: Option<(String, LinkError)> = None;
-    for (number, planned) in runs.iter().enumerate() {
-        let id = planned.id(number);
-        bar.set_message(id.clone());
-        if let Err(error) = session.rest(Duration::from_secs_f64(planned.pause_s.max(0.0))) {
-            cut = Some((id, error));
-            break;
+    for run in runs {
+        bar.set_message(run.id.clone());
+        if series.is_made(run)? {
+            bar.inc(1);
+            continue;
         }
-        let path = recordings.join(format!("{id}.mcap"));
+        if let Err(error) = session.rest(Duration::from_secs_f64(run.pause_s.max(0.0))) {
+            return Ok(Some((run.id.clone(), error)));
+        }
         let mut configuration = args.configuration.over(own)?;
-        configuration.pwm_hz = planned.pwm_hz.round() as u16;
+        configuration.pwm_hz = run.pwm_hz.round() as u16;
         *used = configuration;
         let experiment = Experiment {
             configuration: Some(configuration),
             capture: ALL_STREAMS,
             action: Action::Speed(SpeedRun {
-                duty: Duty::try_from((planned.duty * f64::from(Duty::FULL.raw())).round() as u16)?,
-                direction: if planned.direction == "cw" { Direction::Cw } else { Direction::Ccw },
-                duration_ms: duration_ms(planned.seconds)?,
+                duty: Duty::try_from((run.duty * f64::from(Duty::FULL.raw())).round() as u16)?,
+                direction: if run.direction == "cw" { Direction::Cw } else { Direction::Ccw },
+                duration_ms: duration_ms(run.seconds)?,
             }),
-            recording: Some(path.clone()),
-            motor: motor.clone(),
+            recording: Some(series.recording(run)),
+            motor: motor.to_owned(),
         };
-        let outcome = perform(session, &experiment, None, |_| {}).with_context(|| format!("run {id}"))?;
+        let outcome = perform(session, &experiment, None, |_| {}).with_context(|| format!("run {}", run.id))?;
         if let Some(error) = outcome.cut() {
             // No ordinary run: it goes by another name, and into no measurement.
-            let marked = recordings.join(format!("{id}.cut-short.mcap"));
-            twum_host::output::rename(&path, &marked)?;
-            cut = Some((id, error));
-            break;
-        }
-        let recording = Recording::load(&path)?;
-        let (measurement, notes) = to_measurement(&recording, &id, EncoderSource::Edges)?;
-        for note in notes {
-            eprintln!("{id}: {note}");
-        }
-        let whole = whole.get_or_insert_with(|| Measurement {
-            name: args.out.file_name().map_or_else(Default::default, |n| n.to_string_lossy().into_owned()),
-            runs: Vec::new(),
-            ..measurement.clone()
-        });
-        for (part, mut run) in measurement.runs.into_iter().enumerate() {
-            run.id = if part == 0 { id.clone() } else { format!("{id}-{part}") };
-            run.file = format!("{}.csv", run.id);
-            run.order = Some(number as u32);
-            whole.runs.push(run);
+            series.set_aside(run)?;
+            return Ok(Some((run.id.clone(), error)));
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let verdict = match cut {
-        Some((id, error)) => {
-            let verdict = Err(anyhow::Error::from(error).context(format!("run {id}")));
-            exit::decide(&verdict);
-            let made = whole.as_ref().map_or(0, |whole| whole.runs.len());
-            eprintln!("{made} of {} runs were made; {} keeps what was recorded", runs.len(), recordings.display());
-            verdict.map(ExitCode::from)
-        }
-        None => Ok(ExitCode::SUCCESS),
-    };
-    if let Some(whole) = whole {
-        let saved = whole.save(args.out.join("measurement"))?;
-        println!("{}", saved.folder.display());
-        eprintln!("{} runs; next: twum diagnose {}", saved.runs.len(), saved.folder.display());
-    }
-    verdict
+    Ok(None)
 }

@@ -47,7 +47,8 @@ impl Chip {
 
 /// Runs `twum flash`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    let port = args.connect.port();
+    let port = args.connect.port()?;
+    let port = port.as_str();
     if port == "sim" || is_pseudo_terminal(port) {
         bail!("{port} is a simulated board's: it has no flash, and runs this version's firmware already");
     }

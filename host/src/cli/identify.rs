@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use twum_host::identify::{figures, force_factor, friction, read, save, stator};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
-use twum_host::record::measurement::Measurement;
+use twum_host::record::load::load_runs;
 
 /// Arguments of `twum identify`.
 #[derive(Debug, clap::Args)]
@@ -65,22 +65,14 @@ struct ForceFactor {
     /// Speeds under load and stalls from a CSV file with the columns duty,load_nm,rpm (rpm 0: the torque that stalled it)
     #[arg(long, value_name = "FILE")]
     torque_runs: Option<PathBuf>,
-    /// Reading of the model: physical, or the thesis's listing
-    #[arg(long, default_value = "physical", value_parser = flavour)]
+    /// Reading of the model
+    #[arg(long, value_enum, default_value = "physical")]
     flavour: Flavour,
     #[command(flatten)]
     save: Save,
     /// Print JSON
     #[arg(long)]
     json: bool,
-}
-
-fn flavour(text: &str) -> Result<Flavour, String> {
-    match text {
-        "physical" => Ok(Flavour::Physical),
-        "thesis" => Ok(Flavour::Thesis),
-        other => Err(format!("`{other}`: there is `physical` and `thesis`")),
-    }
 }
 
 fn loaded(text: &str) -> Result<force_factor::Loaded, String> {
@@ -224,7 +216,10 @@ fn run_friction(args: Friction) -> Result<ExitCode> {
 }
 
 fn run_force_factor(args: ForceFactor) -> Result<ExitCode> {
-    let measurement = Measurement::load(&args.folder)?;
+    let (measurement, notes) = load_runs(&args.folder)?;
+    for note in notes {
+        eprintln!("note: {note}");
+    }
     let motor = Motor::load(&args.save.motor)?;
     let mut torque = force_factor::TorqueRuns::default();
     for row in args.loaded {

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::record::check::{FolderCheck, check};
 use twum_host::record::convert::{to_edges, to_levels};
+use twum_host::record::load::measurement_folder;
 use twum_host::record::measurement::{Direction, MANIFEST, Measurement, RunData};
 
 /// Arguments of `twum import`.
@@ -67,7 +68,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
             "{} has a {MANIFEST}, which says the direction of each run: leave --direction out",
             args.folder.display()
         ),
-        None => Measurement::load(&args.folder).with_context(|| {
+        None => Measurement::load(measurement_folder(&args.folder)?).with_context(|| {
             format!(
                 "cannot import {} (for Duty_*.txt files without {MANIFEST}, give --direction)",
                 args.folder.display()

@@ -49,10 +49,9 @@ With --foxglove the same values are served to Foxglove (\"Open connection\", \"F
   twum live sine.mcap --foxglove=9000 > /dev/null     without the screen, until Ctrl-C")]
 pub struct Args {
     /// Recording to follow while it is made
-    #[arg(required_unless_present = "port", conflicts_with = "port")]
     recording: Option<PathBuf>,
     #[command(flatten)]
-    connect: Option<ConnectArgs>,
+    connect: ConnectArgs,
     #[command(flatten)]
     record: RecordArgs,
     /// Print one screen of what the recording holds now, without a terminal
@@ -72,14 +71,16 @@ pub struct Args {
 
 /// Runs `twum live`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    match (&args.recording, &args.connect) {
-        (Some(recording), _) if args.once => print_once(recording),
+    if let Some(recording) = args.recording.as_ref().filter(|_| args.connect.is_explicit()) {
+        bail!("{} or --port: a recording is followed, a port is watched; not both", recording.display());
+    }
+    match &args.recording {
+        Some(recording) if args.once => print_once(recording),
         _ if !std::io::stdout().is_terminal() && args.foxglove.is_none() => {
             bail!("this view needs a terminal; `--once` prints one screen of a recording, `--foxglove` serves it")
         }
-        (Some(recording), _) => follow(recording, Screen::new(args.foxglove)?),
-        (None, Some(connect)) => watch(connect, &args.record, Screen::new(args.foxglove)?),
-        (None, None) => bail!("give a recording to follow, or --port"),
+        Some(recording) => follow(recording, Screen::new(args.foxglove)?),
+        None => watch(&args.connect, &args.record, Screen::new(args.foxglove)?),
     }
 }
 
@@ -195,10 +196,11 @@ fn watch_through(mut board: Watching, mut screen: Screen) -> Result<ExitCode> {
 
 /// Records on this thread, as every other command does, and draws on another.
 fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<ExitCode> {
-    if let Ok(board) = relay::watch_through(connect.port()) {
+    let port = connect.port()?;
+    if let Ok(board) = relay::watch_through(&port) {
         return match &record.out {
             None => watch_through(board, screen),
-            Some(_) => bail!("another program holds {} and records, if anybody does: leave --out away", connect.port()),
+            Some(_) => bail!("another program holds {port} and records, if anybody does: leave --out away"),
         };
     }
     let experiment = Experiment {
@@ -215,7 +217,7 @@ fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<E
         INTERRUPTED.store(true, Ordering::Relaxed);
         shown
     });
-    let outcome = connect.perform(&experiment, |received| {
+    let outcome = connect.perform(experiment, |received| {
         let _ = sender.try_send(received.clone());
     });
     drop(sender);
@@ -223,7 +225,7 @@ fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<E
     // Being told to end is how a view ends.
     let outcome = Outcome { interrupted: false, ..outcome? };
     drawn?;
-    record.conclude(&outcome)
+    record.conclude(&outcome, None)
 }
 
 fn show_received(receiver: &Receiver<Received>, mut screen: Screen) -> Result<()> {

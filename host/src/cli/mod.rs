@@ -3,8 +3,11 @@
 mod align;
 mod capture;
 mod compare;
+mod completions;
 mod config;
+mod configuration;
 mod connect;
+mod defaults;
 mod demo;
 mod diagnose;
 mod driver;
@@ -19,17 +22,20 @@ mod info;
 mod instruments;
 mod live;
 mod model;
+mod motor;
 mod neck;
 mod output;
 mod plot;
 mod ports;
 mod reboot;
 mod replay;
+mod run;
 mod signals;
 mod sim;
 mod speed;
 mod stop;
 mod track;
+mod units;
 mod velocity;
 
 use anyhow::Result;
@@ -41,8 +47,26 @@ use std::process::ExitCode;
 #[command(name = "twum", version, about, after_help = format!("{}\n\n{}", existing::POLICY, exit::HELP))]
 pub struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
 }
+
+/// What a newcomer does next: printed without a command.
+const NEXT: &str = "\
+Drive, capture, simulate and diagnose travelling-wave ultrasonic motors.
+
+Without a board:
+  twum demo                                          a motor with something wrong, and its cause, on one page
+  twum track --port sim --out sine.mcap              a closed loop on the simulated 30 mm motor
+  twum plot sine.mcap sine.svg
+
+With a board:
+  twum ports                                         where it is
+  twum info --port /dev/ttyUSB0                      what it is
+  twum experiment run --port /dev/ttyUSB0 --out first   a first experiment (the motor turns)
+  twum diagnose first                                what the simulation gets wrong, and why
+
+`twum help` lists every command, `twum COMMAND --help` has examples of each.
+";
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
@@ -52,7 +76,9 @@ enum Command {
     Capture(capture::Args),
     /// Hold a recording or measurement folder against the fixed-point model and the simulation
     Compare(compare::Args),
-    /// Show, dump, load or compare the configuration a board keeps
+    /// Print a shell's completions
+    Completions(completions::Args),
+    /// Show, dump, load or compare the configuration a board keeps, and show your own defaults
     Config(config::Args),
     /// Drive a simulated motor end to end and write a report
     Demo(demo::Args),
@@ -76,6 +102,8 @@ enum Command {
     Instruments(instruments::Args),
     /// Watch a board in the terminal
     Live(live::Args),
+    /// Print or write manual pages
+    Man(completions::ManArgs),
     /// Run the motor model
     Model(model::Args),
     /// Simulate the neck manipulator
@@ -103,9 +131,15 @@ enum Command {
 impl Cli {
     /// Runs the chosen subcommand; the exit code is the answer other programs read.
     pub fn run(self) -> Result<ExitCode> {
-        match self.command {
+        let Some(command) = self.command else {
+            print!("{NEXT}");
+            return Ok(ExitCode::SUCCESS);
+        };
+        match command {
             Command::Align(args) => align::run(args),
             Command::Capture(args) => capture::run(args),
+            Command::Completions(args) => completions::run(&args),
+            Command::Man(args) => completions::man(&args),
             Command::Compare(args) => compare::run(args),
             Command::Config(args) => config::run(args),
             Command::Demo(args) => demo::run(args),

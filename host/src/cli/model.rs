@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::model::braking::{Braking, MEASURED, Point, SIMULATED, braking};
 use twum_host::model::check::check;
 use twum_host::model::closed_loop::{Following, LoopProgram, Tick, following, run as run_loop};
 use twum_host::model::motor::Motor;
@@ -22,12 +23,13 @@ use twum_shared::step::{Config, ConfigSpec};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  twum model speed                                  full drive, thesis flavour, averaged model
+  twum model speed                                  full drive, physical flavour, averaged model
   twum model speed --solver carrier --seconds 0.4   the same at carrier resolution
-  twum model speed --flavour physical --duty 0.5 --set u=0.12 --json
-  twum model sweep --flavour physical --plot speed_duty.svg
-  twum model torque --flavour physical --plot torque.png
-  twum model loop --flavour physical --csv loop.csv --plot loop.svg
+  twum model speed --duty 0.5 --set u=0.12 --json
+  twum model sweep --plot speed_duty.svg
+  twum model torque --plot torque.png
+  twum model loop --flavour measured --csv loop.csv --plot loop.svg     the thesis's closed loop
+  twum model braking                                how much the rotor brakes with the drive off
   twum model check                                  the tables of docs/model.md, for this motor
 
 Parameters of --set are those of the thesis's section A.4: f, Vrms, Ms, Cs, Ks, eta, Rr, R0, b, n, h, Mr, Jr, Cz, Ctheta,
@@ -75,6 +77,18 @@ enum Question {
         #[arg(long)]
         json: bool,
     },
+    /// How much the rotor brakes with the drive off, from the thesis's figures of the real motor's closed loop
+    Braking {
+        /// A shipped motor, or a motor file
+        #[arg(long, default_value = "pcbmotor-30mm")]
+        motor: String,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+        /// Draw to this file, .svg or .png
+        #[arg(long, value_name = "FILE")]
+        plot: Option<PathBuf>,
+    },
     /// The motor under the chip's control step, following a sine
     Loop {
         #[command(flatten)]
@@ -117,8 +131,8 @@ struct Common {
     #[arg(long, value_enum, default_value_t = SolverArg::Averaged)]
     solver: SolverArg,
     /// Which reading of the model
-    #[arg(long, value_enum, default_value_t = FlavourArg::Thesis)]
-    flavour: FlavourArg,
+    #[arg(long, value_enum, default_value_t)]
+    flavour: Flavour,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -134,12 +148,6 @@ enum SolverArg {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum FlavourArg {
-    Thesis,
-    Physical,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
 enum ControlArg {
     Thesis,
     Default,
@@ -147,10 +155,7 @@ enum ControlArg {
 
 impl Common {
     fn setup(&self, duty: f64, seconds: f64) -> Result<Setup> {
-        let flavour = match self.flavour {
-            FlavourArg::Thesis => Flavour::Thesis,
-            FlavourArg::Physical => Flavour::Physical,
-        };
+        let flavour = self.flavour;
         let solver = match self.solver {
             SolverArg::Averaged => Solver::Averaged,
             SolverArg::Carrier => Solver::Carrier,
@@ -188,6 +193,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Question::Speed { common, duty } => speed(&common, duty),
         Question::Sweep { common, points } => sweep(&common, points),
         Question::Torque { common, duty, points } => torque(&common, duty, points),
+        Question::Braking { motor, json, plot } => brake(&motor, json, plot),
         Question::Check { motor, json } => check_models(&motor, json),
         Question::Loop { common, control, amplitude, omega, true_sense, csv, existing } => {
             follow(&common, control, amplitude, omega, true_sense, csv, existing)
@@ -307,6 +313,61 @@ fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
         let panel = Panel::new("speed (rpm)", "torque (mN·m)").x_range(0.0, 1.05 * fastest.max(1e-3));
         Ok(Figure::new(title).panel(panel.line("model", &line)))
     })
+}
+
+fn brake(motor: &str, json: bool, plot: Option<PathBuf>) -> Result<()> {
+    let motor = Motor::load(motor)?;
+    let waiting = spinner();
+    let found = braking(&motor)?;
+    waiting.finish_and_clear();
+    if json {
+        print_json(&found)?;
+    } else {
+        let rows = found.points.iter().map(|p| {
+            vec![
+                format!("{:.2}", p.torque_nm * 1e4),
+                format!("{:.3}", p.mse_deg2),
+                format!("{:.3}", p.mean_abs_deg),
+                p.r2_listed.map_or("-".to_owned(), |r2| format!("{r2:.3}")),
+            ]
+        });
+        print_table(&["1e-4 N·m", "MSE (deg2)", "mean (deg)", "R2 of listed speeds"], &rows.collect::<Vec<_>>());
+        for asked in &found.asked {
+            let range = |[low, high]: [f64; 2]| format!("{:.3}e-4 to {:.3}e-4 N·m", low * 1e4, high * 1e4);
+            let answer = asked.range_nm.map_or("no torque gives it".to_owned(), range);
+            println!("{} = {}: {answer}", asked.figure, asked.measured);
+        }
+        if let (Some(t), Some([low, high]), Some(u)) = (found.torque_nm, found.interval_nm, found.off_friction) {
+            println!(
+                "both figures of the loop: {:.3}e-4 N·m, {:.3}e-4 to {:.3}e-4 (uoff = {u:.4})",
+                t * 1e4,
+                low * 1e4,
+                high * 1e4
+            );
+        }
+    }
+    if let Some(path) = plot {
+        braking_figure(&found).write(&path).with_context(|| format!("cannot draw {}", path.display()))?;
+        eprintln!("wrote {}", path.display());
+    }
+    Ok(())
+}
+
+fn braking_figure(found: &Braking) -> Figure {
+    let line = |f: &dyn Fn(&Point) -> f64| found.points.iter().map(|p| (p.torque_nm * 1e4, f(p))).collect::<Vec<_>>();
+    let last = found.points.last().map_or(0.0, |p| p.torque_nm * 1e4);
+    let level = |value: f64| [(0.0, value), (last, value)];
+    let x = "torque without a wave (1e-4 N·m)";
+    let panel = |k: usize, label: &str, f: &dyn Fn(&Point) -> f64| {
+        Panel::new(x, label)
+            .line("model", &line(f))
+            .dashed("real motor (thesis)", &level(MEASURED[k]))
+            .dashed("the thesis's simulation", &level(SIMULATED[k]))
+    };
+    Figure::new("The thesis's closed-loop test against the rotor's braking with the drive off")
+        .size(1000, 760)
+        .panel(panel(0, "mean square error (deg²)", &|p| p.mse_deg2))
+        .panel(panel(1, "mean error (deg)", &|p| p.mean_abs_deg))
 }
 
 fn check_models(motor: &str, json: bool) -> Result<()> {

@@ -33,7 +33,7 @@ Examples:
   twum neck                                          the thesis's three exercises, beside its Table 5.6
   twum neck --flavour thesis                         ... as the thesis had them: its model and its controller
   twum neck --exercise rotation --json
-  twum neck --figure neck.png --page neck.html --mcap neck.mcap
+  twum neck --plot neck.png --report neck.html --mcap neck.mcap
   twum neck --disturbance-deg 8 --disturbance-hz 0.5 --disturbance-joints 2
   twum neck --exercise flexion-extension --head-kg 0.05 --head-centre 0.12
   twum neck exercises flexion-extension > mine.toml  a file to start one's own from
@@ -69,9 +69,9 @@ struct RunArgs {
     /// Motor at each joint: a shipped one or a file
     #[arg(long, default_value = "pcbmotor-30mm", value_name = "NAME|FILE")]
     motor: String,
-    /// Flavour of the motor model
-    #[arg(long, value_enum, default_value_t = FlavourArg::Physical)]
-    flavour: FlavourArg,
+    /// Flavour of the motor model; the physical one has the maker's stall torque, which loads at a joint need
+    #[arg(long, value_enum, default_value_t)]
+    flavour: Flavour,
     /// Controller [default: `thesis` with the thesis flavour, `default` otherwise]
     #[arg(long, value_enum)]
     control: Option<ControlArg>,
@@ -109,10 +109,10 @@ struct RunArgs {
     #[arg(long)]
     json: bool,
     /// Draw trajectories and errors, as .svg or .png
-    #[arg(long, value_name = "FILE")]
+    #[arg(long = "plot", alias = "figure", value_name = "FILE")]
     figure: Option<PathBuf>,
     /// Write a page that plays the exercises in three dimensions, without a network
-    #[arg(long, value_name = "FILE.html")]
+    #[arg(long = "report", alias = "page", value_name = "FILE.html")]
     page: Option<PathBuf>,
     /// Write an MCAP file with frame transforms, for Foxglove
     #[arg(long, value_name = "FILE.mcap")]
@@ -149,12 +149,6 @@ struct StudyArgs {
     /// Print the study file that is used when none is given
     #[arg(long)]
     example: bool,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum FlavourArg {
-    Thesis,
-    Physical,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -221,13 +215,10 @@ fn simulate(args: RunArgs) -> Result<ExitCode> {
 }
 
 fn setup(args: &RunArgs) -> Result<Setup> {
-    let flavour = match args.flavour {
-        FlavourArg::Thesis => Flavour::Thesis,
-        FlavourArg::Physical => Flavour::Physical,
-    };
-    let control = match (args.control, args.flavour) {
-        (Some(ControlArg::Thesis), _) | (None, FlavourArg::Thesis) => Named::Thesis,
-        (Some(ControlArg::Default), _) | (None, FlavourArg::Physical) => Named::Default,
+    let flavour = args.flavour;
+    let control = match (args.control, flavour) {
+        (Some(ControlArg::Thesis), _) | (None, Flavour::Thesis) => Named::Thesis,
+        (Some(ControlArg::Default), _) | (None, Flavour::Physical | Flavour::Measured) => Named::Default,
     };
     let solver = match args.solver {
         SolverArg::Averaged => Solver::Averaged,

@@ -1,24 +1,25 @@
 //! How commands talk to people: tables on stdout, progress on stderr.
 
-use indicatif::ProgressBar;
+use comfy_table::{Table, presets};
+use indicatif::{ProgressBar, ProgressStyle};
 use std::time::Duration;
 
 /// Prints rows under a header, columns aligned.
 pub fn print_table<H: AsRef<str>>(header: &[H], rows: &[Vec<String>]) {
-    let widths: Vec<usize> = (0..header.len())
-        .map(|column| {
-            let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
-            cells.chain([header[column].as_ref().chars().count()]).max().unwrap_or(0)
-        })
-        .collect();
-    let line = |cells: Vec<&str>| {
-        let padded: Vec<String> = cells.iter().zip(&widths).map(|(cell, width)| format!("{cell:<width$}")).collect();
-        println!("{}", padded.join("  ").trim_end());
-    };
-    line(header.iter().map(AsRef::as_ref).collect());
-    for row in rows {
-        line(row.iter().map(String::as_str).collect());
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING).set_header(header.iter().map(AsRef::as_ref)).add_rows(rows);
+    for column in table.column_iter_mut() {
+        column.set_padding((0, 2));
     }
+    println!("{}", table.trim_fmt());
+}
+
+/// A bar over a run of a known length on stderr: time, and whatever its message says of the motor.
+pub fn progress(length: Duration) -> ProgressBar {
+    let template = "{bar:30} {elapsed_precise} of {prefix} s {msg}";
+    let style = ProgressStyle::with_template(template).expect("the template is valid");
+    let seconds = format!("{:.1}", length.as_secs_f64());
+    ProgressBar::new(length.as_millis() as u64).with_style(style).with_prefix(seconds)
 }
 
 /// A spinner on stderr; invisible where stderr is not a terminal.

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::record::measurement::Measurement;
+use twum_host::record::load::load_runs;
 use twum_host::record::plot::{measurement_figure, recording_figure};
 
 /// Arguments of `twum plot`.
@@ -31,7 +31,7 @@ pub struct Args {
 /// Runs `twum plot`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let mut figure = if args.input.is_dir() {
-        measurement_figure(&Measurement::load(&args.input)?, args.run.as_deref())?
+        measurement_figure(&load_runs(&args.input)?.0, args.run.as_deref())?
     } else {
         if args.run.is_some() {
             bail!("--run chooses a run of a measurement folder; {} is a recording", args.input.display());

@@ -1,26 +1,23 @@
 //! `twum sim`.
 
 use super::connect::{INTERRUPTED, catch_interrupts};
+use super::motor::MotorArgs;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use twum_host::link::serve;
-use twum_host::model::motor::Motor;
-use twum_host::model::motor_plant::{History, MotorPlant, Solver};
-use twum_host::model::parameters::Flavour;
-use twum_host::sim::{DriverHealth, FirstOrderMotor, PlantMotor, Setup, SimulatedMotor};
+use twum_host::sim::{DriverHealth, Setup};
 
 /// Arguments of `twum sim`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  twum sim --pty\n  twum track --port /dev/pts/3 --out sine.mcap     (in another terminal)"
+    after_help = "Examples:\n  twum sim --pty\n  twum sim --pty --effects hidden.toml     (a motor with something wrong)\n  twum track --port /dev/pts/3 --out sine.mcap     (in another terminal)"
 )]
 pub struct Args {
     /// Serve on a new pseudo-terminal, whose name is printed
     #[arg(long, required = true)]
     pty: bool,
-    /// Motor: `simple`, or a motor file's name or path, run with the averaged physical model
-    #[arg(long, default_value = "simple")]
-    motor: String,
+    #[command(flatten)]
+    motor: MotorArgs,
     /// How well the driver board is
     #[arg(long, value_enum, default_value = "well")]
     driver: Driver,
@@ -50,18 +47,11 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Driver::Garbage => DriverHealth::Garbage,
         Driver::Lame => DriverHealth::Lame,
     };
-    let motor: Box<dyn SimulatedMotor> = if args.motor == "simple" {
-        Box::new(FirstOrderMotor::default())
-    } else {
-        let (motor, flavour) = (Motor::load(&args.motor)?, Flavour::Physical);
-        let plant =
-            MotorPlant::new(motor.parameters(flavour), flavour, Solver::Averaged, &motor.effects(), History::default());
-        Box::new(PlantMotor::new(plant))
-    };
-    let setup = Setup { driver, motor, start_pitch: args.start_pitch, ..Setup::default() };
+    let setup = Setup { driver, start_pitch: args.start_pitch, ..args.motor.simulated()? };
+    let simulates = setup.simulates.clone();
     serve(setup, &INTERRUPTED, |name| {
         println!("{name}");
-        eprintln!("serving a simulated board in real time; Ctrl-C ends it");
+        eprintln!("serving a board in real time, {simulates}; Ctrl-C ends it");
     })
     .context("the pseudo-terminal failed")?;
     Ok(ExitCode::SUCCESS)

@@ -1,10 +1,11 @@
 //! `twum speed`.
 
-use super::connect::{ALL_STREAMS, ConfigurationArgs, ConnectArgs, RecordArgs, duration_ms};
-use super::output::spinner;
-use anyhow::{Result, bail};
+use super::configuration::ConfigurationArgs;
+use super::connect::{ConnectArgs, RecordArgs, duration_ms};
+use super::units;
+use anyhow::{Context, Result};
 use std::process::ExitCode;
-use twum_host::link::bench::{Action, Experiment};
+use twum_host::link::bench::Action;
 use twum_shared::message::SpeedRun;
 use twum_shared::{Direction, Duty};
 
@@ -19,9 +20,9 @@ pub struct Args {
     configuration: ConfigurationArgs,
     #[command(flatten)]
     record: RecordArgs,
-    /// Fraction of the PWM period with the drive on, 0 to 1
-    #[arg(long)]
-    duty: f64,
+    /// Fraction of the PWM period with the drive on: 0 to 1, or such as 50%
+    #[arg(long, allow_hyphen_values = true)]
+    duty: String,
     /// Direction of rotation
     #[arg(long, value_enum, default_value = "cw")]
     direction: Way,
@@ -38,24 +39,12 @@ enum Way {
 
 /// Runs `twum speed`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    if !(0.0..=1.0).contains(&args.duty) {
-        bail!("duty {} is outside 0 to 1: it is the fraction of the PWM period with the drive on", args.duty);
-    }
-    let duty = Duty::try_from((args.duty * f64::from(Duty::FULL.raw())).round() as u16)?;
+    let duty =
+        Duty::try_from((units::duty(&args.duty).context("--duty")? * f64::from(Duty::FULL.raw())).round() as u16)?;
     let direction = match args.direction {
         Way::Cw => Direction::Cw,
         Way::Ccw => Direction::Ccw,
     };
-    let experiment = Experiment {
-        configuration: None,
-        capture: ALL_STREAMS,
-        action: Action::Speed(SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? }),
-        recording: args.record.out.clone(),
-        motor: args.configuration.motor()?,
-    };
-    let spinner = spinner();
-    spinner.set_message("running");
-    let outcome = args.connect.perform_with(&args.configuration, experiment, |_| {})?;
-    spinner.finish_and_clear();
-    args.record.conclude(&outcome)
+    let run = SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? };
+    super::run::make(&args.connect, &args.configuration, &args.record, |_| Ok(Action::Speed(run)))
 }

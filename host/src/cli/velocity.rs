@@ -1,19 +1,20 @@
 //! `twum velocity`.
 
 use super::existing::ExistingArgs;
+use super::output::print_table;
 use anyhow::{Context, Result, bail};
-use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::output::{self, Output};
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, Run};
-use twum_host::report::speed::{Simulated, figure, findings, overview};
-use twum_host::signal::run::{EncoderErrors, Method, Motion, Options, Step, motion, thesis_steps};
+use twum_host::report::run::SpeedFigures;
+use twum_host::report::speed::{Simulated, figure, overview};
+use twum_host::signal::course::Drive;
+use twum_host::signal::run::{Method, Motion, Options, Step, motion, thesis_steps};
 use twum_host::signal::score::score;
 use twum_host::signal::trial::{Encoder, Motion as Motions};
-use twum_host::signal::turn::TurnFit;
 use twum_host::signal::window::Order;
 
 /// Arguments of `twum velocity`.
@@ -138,7 +139,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     if let Some(plot) = &args.plot {
         draw(plot, &measurement, &runs, &motions, args.simulated_rpm)?;
     }
-    let summaries: Vec<Summary> = runs.iter().zip(&motions).map(|(run, motion)| Summary::new(run, motion)).collect();
+    let summaries: Vec<SpeedFigures> =
+        runs.iter().zip(&motions).map(|(run, motion)| SpeedFigures::of(run, motion)).collect();
     match &args.csv {
         Some(csv) => write_table(csv, args.existing, |out| write_motions(out, &runs, &motions))?,
         None if args.json => println!("{}", serde_json::to_string_pretty(&summaries)?),
@@ -161,7 +163,7 @@ fn draw(path: &Path, measurement: &Measurement, runs: &[&Run], motions: &[Motion
         ([run], [motion]) => {
             let ends = motion.time_us.first().zip(motion.time_us.last());
             let simulated = rpm.zip(ends).map(|(rpm, (from, to))| Simulated::constant(rpm, from * 1e-6, to * 1e-6));
-            figure(&format!("{}, run {}", measurement.name, run.id), motion, simulated.as_ref())?
+            figure(&format!("{}, run {}", measurement.name, run.id), motion, Drive::of(run), simulated.as_ref())?
         }
         _ => {
             let named: Vec<(&Run, &Motion)> = runs.iter().copied().zip(motions).collect();
@@ -172,72 +174,51 @@ fn draw(path: &Path, measurement: &Measurement, runs: &[&Run], motions: &[Motion
     Ok(())
 }
 
-/// What is said of one run.
-#[derive(Debug, Serialize)]
-struct Summary {
-    id: String,
-    duty: Option<f64>,
-    duration_s: f64,
-    edges: usize,
-    mean_rpm: Option<f64>,
-    speed_sd_rpm: Option<f64>,
-    start_peak_rpm: Option<f64>,
-    drift_rpm_per_s: Option<f64>,
-    ripple_rpm: Option<[f64; twum_host::signal::turn::ORDERS]>,
-    ripple_r2: Option<f64>,
-    turns: Option<f64>,
-    encoder: Option<EncoderErrors>,
-}
-
-impl Summary {
-    fn new(run: &Run, motion: &Motion) -> Self {
-        let found = findings(motion);
-        let fit: Option<&TurnFit> = found.fit.as_ref();
-        let known: Vec<f64> = motion.speed_rpm.iter().copied().filter(|v| v.is_finite()).collect();
-        let mean = |values: &[f64]| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
-        let ends = motion.time_us.first().zip(motion.time_us.last());
-        let variances: Option<Vec<f64>> = motion.speed_sd_rpm.as_ref().map(|sd| sd.iter().map(|v| v * v).collect());
-        Self {
-            id: run.id.clone(),
-            duty: run.duty,
-            duration_s: ends.map_or(0.0, |(from, to)| (to - from) * 1e-6),
-            edges: motion.edges,
-            mean_rpm: mean(&known),
-            speed_sd_rpm: variances.as_deref().and_then(mean).map(f64::sqrt),
-            start_peak_rpm: found.start_peak.map(|(rpm, _)| rpm),
-            drift_rpm_per_s: fit.map(|f| f.drift_rpm_per_s),
-            ripple_rpm: fit.map(|f| f.amplitude_rpm),
-            ripple_r2: fit.map(|f| f.r2),
-            turns: fit.map(|f| f.turns),
-            encoder: motion.encoder,
-        }
-    }
-}
-
-fn print_summaries(summaries: &[Summary]) {
+fn print_summaries(summaries: &[SpeedFigures]) {
     let shown = |v: Option<f64>, decimals: usize| v.map_or("-".to_owned(), |v| format!("{v:.decimals$}"));
-    let width = summaries.iter().map(|s| s.id.len()).max().unwrap_or(0).max(3);
-    println!(
-        "{:width$}  {:>5} {:>7} {:>6} {:>9} {:>8} {:>9} {:>9} {:>9} {:>9}",
-        "run", "duty", "time s", "edges", "mean rpm", "± rpm", "start rpm", "rpm/s", "1/turn", "2/turn"
-    );
-    for s in summaries {
-        println!(
-            "{:width$}  {:>5} {:>7.2} {:>6} {:>9} {:>8} {:>9} {:>9} {:>9} {:>9}",
-            s.id,
-            shown(s.duty, 2),
-            s.duration_s,
-            s.edges,
-            shown(s.mean_rpm, 3),
-            shown(s.speed_sd_rpm, 3),
-            shown(s.start_peak_rpm, 2),
-            shown(s.drift_rpm_per_s, 3),
-            shown(s.ripple_rpm.map(|a| a[0]), 2),
-            shown(s.ripple_rpm.map(|a| a[1]), 2),
-        );
-    }
+    let ms = |v: Option<f64>| shown(v.map(|v| v * 1e3), 0);
+    let rows: Vec<Vec<String>> = summaries
+        .iter()
+        .map(|s| {
+            let c = &s.course;
+            vec![
+                s.id.clone(),
+                shown(s.duty, 2),
+                format!("{:.2}", s.duration_s),
+                s.edges.to_string(),
+                shown(c.mean_rpm, 3),
+                shown(s.speed_sd_rpm, 3),
+                shown(s.drift_rpm_per_s, 3),
+                shown(s.ripple_rpm.map(|a| a[0]), 2),
+                shown(s.ripple_rpm.map(|a| a[1]), 2),
+                ms(c.rise_s),
+                shown(c.start_peak_rpm, 2),
+                shown(c.overshoot.map(|v| 100.0 * v), 0),
+                ms(c.stop_s),
+                shown(c.coast_deg, 1),
+            ]
+        })
+        .collect();
+    let header = [
+        "run",
+        "duty",
+        "time s",
+        "edges",
+        "mean rpm",
+        "\u{b1} rpm",
+        "rpm/s",
+        "1/turn",
+        "2/turn",
+        "rise ms",
+        "peak rpm",
+        "over %",
+        "stop ms",
+        "coast \u{b0}",
+    ];
+    print_table(&header, &rows);
     eprintln!(
-        "± is the standard deviation of the estimate; drift and ripple are fitted after the first 0.2 s of runs over a turn."
+        "mean, \u{b1} (of the estimate), drift and ripple are of the driven part after its first 0.2 s; rise, peak and overshoot \
+         are of that start, stop and coast of what follows the drive."
     );
 }
 

@@ -137,18 +137,29 @@ fn replay(run: &Run, rows: &[ControlRow], edges_per_rev: u32, motor: &Motor, fla
     positions
 }
 
+/// The least step of a recorded control signal: Q16.16.
+const RECORDED_U: f64 = 1.0 / 65_536.0;
+
 fn actuator(rows: &[ControlRow], spec: &ConfigSpec) -> ActuatorParity {
     let steps = f64::from(spec.duty_steps);
     let wanted_on = |u: f64| match spec.law {
         DriveLaw::ActiveLowTruncated => steps - (steps - 1.0 - u.abs()).max(0.0).trunc(),
         DriveLaw::OnTimeRounded => u.abs().min(steps).round(),
     };
-    let wrong_direction = |row: &&ControlRow| match spec.law {
-        DriveLaw::ActiveLowTruncated => (row.u > 0.0) != (row.direction == Direction::Cw),
-        DriveLaw::OnTimeRounded => wanted_on(row.u) > 0.0 && (row.u > 0.0) != (row.direction == Direction::Cw),
+    // The record holds u rounded: what the board computed with may lie to either side of a step or of zero.
+    let off = |row: &ControlRow| {
+        let off = [0.0, -RECORDED_U, RECORDED_U].map(|by| row.duty - wanted_on(row.u + by) / steps);
+        off.into_iter().min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
+    };
+    let wrong_direction = |row: &&ControlRow| {
+        let known = match spec.law {
+            DriveLaw::ActiveLowTruncated => row.u.abs() > RECORDED_U,
+            DriveLaw::OnTimeRounded => wanted_on(row.u) > 0.0,
+        };
+        known && (row.u > 0.0) != (row.direction == Direction::Cw)
     };
     ActuatorParity {
-        duty_rms: root_mean(rows.iter().map(|row| row.duty - wanted_on(row.u) / steps), rows.len()),
+        duty_rms: root_mean(rows.iter().map(off), rows.len()),
         wrong_direction: rows.iter().filter(wrong_direction).count() as f64 / rows.len().max(1) as f64,
     }
 }

@@ -15,14 +15,10 @@ use crate::record::measurement::{Direction, LevelEdge, Measurement, Run, RunData
 use crate::report::figure::{Figure, Panel};
 use crate::report::speed::{self, Simulated};
 use crate::signal::SignalError;
+use crate::signal::course::{Course, Drive};
 use crate::signal::run::{Method, Motion, Options, motion};
 use serde::Serialize;
 
-/// Speeds before this time belong to the start, in s.
-const START_S: f64 = 0.2;
-/// Share of the settled speed that counts as risen, and below which the rotor counts as stopped.
-const RISEN: f64 = 0.63;
-const STOPPED: f64 = 0.05;
 /// Duties below which a line through mean speeds means nothing.
 const LEAST_DUTIES: usize = 3;
 /// More PWM periods take too long to simulate: a day and a half at 50 Hz.
@@ -76,6 +72,9 @@ pub struct RunComparison {
     pub measured: Transient,
     /// What was simulated.
     pub simulated: Transient,
+    /// How it was driven.
+    #[serde(skip)]
+    pub drive: Drive,
     /// The measured motion, for pictures.
     #[serde(skip)]
     pub motion: Motion,
@@ -87,9 +86,9 @@ pub struct RunComparison {
 /// How a run starts, settles and stops. Speeds are positive in the commanded direction.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Transient {
-    /// Mean speed while driven, in rpm.
-    pub mean_rpm: f64,
     /// Mean speed while driven, the first 0.2 s left out, in rpm.
+    pub mean_rpm: f64,
+    /// The same: the name it had when `mean_rpm` held the start too.
     pub settled_rpm: f64,
     /// Greatest speed in the first 0.2 s, in rpm.
     pub start_peak_rpm: f64,
@@ -97,6 +96,10 @@ pub struct Transient {
     pub rise_s: Option<f64>,
     /// From the end of the drive to 5 % of the settled speed, in s.
     pub stop_s: Option<f64>,
+    /// By what share of the settled speed the start goes beyond it.
+    pub overshoot: Option<f64>,
+    /// Angle turned after the end of the drive, in degrees.
+    pub coast_deg: Option<f64>,
 }
 
 /// A motor and the effects its file lists.
@@ -140,21 +143,21 @@ fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &Model) -> Resul
     let simulated_run = Run { data: simulated_data(run, duty, edges_per_rev, model)?, ..run.clone() };
     let simulated = motion(&simulated_run, &options)?;
     let sign = run.direction.unwrap_or(Direction::Cw).sign();
-    let times_s: Vec<f64> = measured.time_us.iter().map(|t| t * 1e-6).collect();
     let simulated_rpm = at_times(&simulated, &simulated.speed_rpm, &measured.time_us);
     let simulated_rad = at_times(&simulated, &simulated.position_rad, &measured.time_us);
     let turned = |rad: &[f64], i: usize| (rad[i] - rad[0]).to_degrees();
-    let n = times_s.len();
+    let n = measured.time_us.len();
     let rms = |f: &dyn Fn(usize) -> f64| ((0..n).map(|i| f(i).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
-    let drive_on_s = run.drive_on_s.unwrap_or(f64::INFINITY);
-    let forwards = |rpm: &[f64]| -> Vec<f64> { rpm.iter().map(|v| sign * v).collect() };
+    let course = |motion: &Motion| transient(&Course::of(motion, Drive::of(run)), sign);
+    let beside = Motion { position_rad: simulated_rad.clone(), speed_rpm: simulated_rpm.clone(), ..measured.clone() };
     Ok(RunComparison {
         id: run.id.clone(),
+        drive: Drive::of(run),
         duty,
         rmse_speed_rpm: rms(&|i| measured.speed_rpm[i] - simulated_rpm[i]),
         rmse_position_deg: rms(&|i| turned(&measured.position_rad, i) - turned(&simulated_rad, i)),
-        measured: transient(&times_s, &forwards(&measured.speed_rpm), drive_on_s),
-        simulated: transient(&times_s, &forwards(&simulated_rpm), drive_on_s),
+        measured: course(&measured),
+        simulated: course(&beside),
         motion: measured,
         simulated_rpm,
     })
@@ -219,24 +222,17 @@ fn at_times(motion: &Motion, values: &[f64], times_us: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-fn transient(times_s: &[f64], rpm: &[f64], drive_on_s: f64) -> Transient {
-    let mean_over = |from_s: f64, to_s: f64| {
-        let inside: Vec<f64> =
-            times_s.iter().zip(rpm).filter(|(t, _)| (from_s..to_s).contains(*t)).map(|(_, v)| *v).collect();
-        inside.iter().sum::<f64>() / inside.len().max(1) as f64
-    };
-    let driven_to = drive_on_s.min(times_s.last().copied().unwrap_or(0.0));
-    let settled_rpm = mean_over(START_S.min(0.5 * driven_to), driven_to);
-    let first = |from_s: f64, reached: &dyn Fn(f64) -> bool| {
-        times_s.iter().zip(rpm).find(|(t, v)| **t >= from_s && reached(**v)).map(|(t, _)| t - from_s)
-    };
-    let start = times_s.iter().zip(rpm).filter(|(t, _)| (0.0..START_S).contains(*t)).map(|(_, v)| *v);
+/// The figures of a course, speeds positive in the commanded direction.
+fn transient(course: &Course, sign: f64) -> Transient {
+    let mean_rpm = sign * course.mean_rpm.unwrap_or(0.0);
     Transient {
-        mean_rpm: mean_over(0.0, driven_to),
-        settled_rpm,
-        start_peak_rpm: start.fold(0.0, f64::max),
-        rise_s: if settled_rpm > 0.0 { first(0.0, &|v| v >= RISEN * settled_rpm) } else { None },
-        stop_s: if drive_on_s.is_finite() { first(drive_on_s, &|v| v <= STOPPED * settled_rpm) } else { None },
+        mean_rpm,
+        settled_rpm: mean_rpm,
+        start_peak_rpm: sign * course.start_peak_rpm.unwrap_or(0.0),
+        rise_s: course.rise_s,
+        stop_s: course.stop_s,
+        overshoot: course.overshoot,
+        coast_deg: course.coast_deg,
     }
 }
 
@@ -302,7 +298,7 @@ impl Comparison {
         if let [run] = self.runs.as_slice() {
             let times_s = run.motion.time_us.iter().map(|t| t * 1e-6);
             let simulated = Simulated { speed: times_s.zip(run.simulated_rpm.iter().copied()).collect() };
-            return speed::figure(&format!("{title}, run {}", run.id), &run.motion, Some(&simulated));
+            return speed::figure(&format!("{title}, run {}", run.id), &run.motion, run.drive, Some(&simulated));
         }
         Ok(self.overview(title))
     }

@@ -455,7 +455,7 @@ fn with(base: &Parameters, x: &DVector<f64>) -> Parameters {
 
 fn prior(motor: &Motor, flavour: Flavour, name: &str) -> f64 {
     let key = if name == "stator" { "Ms" } else { name };
-    let entry = motor.physical.get(key).filter(|_| flavour == Flavour::Physical).or_else(|| motor.parameters.get(key));
+    let entry = motor.entry(flavour, key);
     let stated = entry.and_then(|e| Some((e.uncertainty? / e.value).abs())).filter(|r| r.is_finite() && *r > 0.0);
     // Beyond a factor of e either way a logarithm's prior says nothing any more.
     stated.unwrap_or(if name == "f" { DEFAULT_PRIOR_F } else { DEFAULT_PRIOR }).min(1.0)

@@ -11,7 +11,7 @@ use std::path::Path;
 pub struct Update {
     /// Name in the motor file.
     pub name: &'static str,
-    /// The table it belongs to; `None` is both, where the physical one has it.
+    /// The table it belongs to; `None` is the listed one, and the physical one where that has it.
     pub flavour: Option<Flavour>,
     /// Value in the unit of the motor file.
     pub value: f64,
@@ -60,18 +60,16 @@ pub fn save(path: &Path, base: &str, updates: &[Update]) -> Result<(), SaveError
             entry.uncertainty = update.ci95.map(|[low, high]| (high - low) / (2.0 * 1.96)).filter(|u| u.is_finite());
             entry.source.clone_from(&source);
         };
-        if update.flavour != Some(Flavour::Physical)
-            && let Some(entry) = motor.parameters.get_mut(update.name)
-        {
-            write(entry);
+        let listed = motor.parameters.get_mut(update.name);
+        match (update.flavour, listed) {
+            (None | Some(Flavour::Thesis), Some(entry)) => write(entry),
+            (Some(flavour @ (Flavour::Physical | Flavour::Measured)), Some(listed)) => {
+                let own = if flavour == Flavour::Physical { &mut motor.physical } else { &mut motor.measured };
+                write(own.entry(update.name.to_owned()).or_insert_with(|| listed.clone()));
+            }
+            (_, None) => {}
         }
-        if update.flavour == Some(Flavour::Physical) && !motor.physical.contains_key(update.name) {
-            let listed = motor.parameters[update.name].clone();
-            motor.physical.insert(update.name.to_owned(), listed);
-        }
-        if update.flavour != Some(Flavour::Thesis)
-            && let Some(entry) = motor.physical.get_mut(update.name)
-        {
+        if let (None, Some(entry)) = (update.flavour, motor.physical.get_mut(update.name)) {
             write(entry);
         }
     }

@@ -131,7 +131,7 @@ impl Coefficients {
             tangential: contact.tangential_n_m / p.modal_mass_kg,
             force: contact.force_n_m,
             rotor_per_crest: match flavour {
-                Flavour::Thesis => contact.surface * omega / (contact.radius_m * contact.radius_m),
+                Flavour::Thesis | Flavour::Measured => contact.surface * omega / (contact.radius_m * contact.radius_m),
                 Flavour::Physical => contact.surface / contact.radius_m,
             },
             friction: p.friction * m.friction,
@@ -139,7 +139,9 @@ impl Coefficients {
             preload: p.preload_n * m.preload,
             load: p.load_nm + m.load_nm,
             brake: m.brake_nm,
-            off_brake: m.off_brake_nm,
+            // As listed, the contact's own torque goes with the wave: what is left without one is added.
+            off_brake: m.off_brake_nm
+                + if flavour.is_listed() { p.off_friction_nm(flavour) * m.preload * m.friction } else { 0.0 },
             stribeck: m.stribeck_nm,
             stribeck_speed_inv: 1.0 / m.stribeck_rad_s,
             exponent: m.contact_exponent,
@@ -287,7 +289,7 @@ impl Averaged {
     pub fn height_m(&self) -> f64 {
         let amplitude = self.amplitude_m();
         let pressed = self.press(amplitude);
-        let floored = if self.flavour == Flavour::Thesis { amplitude.max(self.coefficients.wmin) } else { amplitude };
+        let floored = if self.flavour.is_listed() { amplitude.max(self.coefficients.wmin) } else { amplitude };
         if floored > 0.0 {
             pressed.zeta * self.parameters.radial_shape * floored
         } else {
@@ -339,7 +341,7 @@ impl Averaged {
     fn crest(&self, amplitude: f64) -> f64 {
         let c = &self.coefficients;
         match self.flavour {
-            Flavour::Thesis => c.rotor_per_crest * amplitude,
+            Flavour::Thesis | Flavour::Measured => c.rotor_per_crest * amplitude,
             Flavour::Physical => c.rotor_per_crest * amplitude * c.omega,
         }
     }
@@ -348,7 +350,7 @@ impl Averaged {
     fn press(&self, amplitude: f64) -> Pressed {
         let c = &self.coefficients;
         let (floored, share) = match self.flavour {
-            Flavour::Thesis => {
+            Flavour::Thesis | Flavour::Measured => {
                 let floored = amplitude.max(c.wmin);
                 (floored, amplitude / floored)
             }
@@ -369,11 +371,11 @@ impl Averaged {
         let (zeta, beta) = if q >= PI && self.flavour == Flavour::Physical { (-q / PI, q) } else { (cos, q.min(PI)) };
         let sin = (1.0 - cos * cos).max(0.0).sqrt();
         let closed = match self.flavour {
-            Flavour::Thesis => 1.0 - share,
+            Flavour::Thesis | Flavour::Measured => 1.0 - share,
             Flavour::Physical => ((phi - 0.5 * PI) / (0.5 * PI)).max(0.0),
         };
         let friction = match self.flavour {
-            Flavour::Thesis => c.friction,
+            Flavour::Thesis | Flavour::Measured => c.friction,
             Flavour::Physical => c.friction + (c.off_friction - c.friction) * closed,
         };
         Pressed { phi, zeta, beta, work: phi + sin * cos - 2.0 * zeta * sin, friction, share, gone: closed }
@@ -388,7 +390,9 @@ impl Averaged {
         let sin = (1.0 - cos * cos).max(0.0).sqrt();
         let g1 = 2.0 * (psi + sin * cos - 2.0 * zeta * sin) - work;
         let g2 = match self.flavour {
-            Flavour::Thesis => 2.0 * sin * sin - (1.0 - zeta * zeta) - 2.0 * zeta * zeta + 4.0 * zeta * cos - 2.0,
+            Flavour::Thesis | Flavour::Measured => {
+                2.0 * sin * sin - (1.0 - zeta * zeta) - 2.0 * zeta * zeta + 4.0 * zeta * cos - 2.0
+            }
             Flavour::Physical => 0.0,
         };
         (g1, g2)
@@ -464,7 +468,7 @@ impl Averaged {
         if source == [0.0; 2] && self.waves == [Complex::ZERO; 2] {
             self.turning = 0.0;
             let contact = match self.flavour {
-                Flavour::Thesis => 0.0,
+                Flavour::Thesis | Flavour::Measured => 0.0,
                 Flavour::Physical => c.off_friction * c.preload * c.radius,
             };
             let limit = contact + c.brake + c.off_brake + self.stribeck(self.speed_rad_s);
@@ -479,7 +483,7 @@ impl Averaged {
         // The step: neither the waves nor the rotor may change by more than CHANGE of their references.
         let pace = (now.change[0].square() + now.change[1].square()).sqrt();
         let mut h = longest.min(LONGEST_S).min(CHANGE * self.reference_m / pace.max(1e-300));
-        if self.flavour == Flavour::Thesis {
+        if self.flavour.is_listed() {
             // The listed torque goes with the wave's amplitude all the way down.
             h = h.min(0.25 * self.amplitude_m().max(3e-3 * self.reference_m) / pace.max(1e-300));
         }
@@ -510,7 +514,7 @@ impl Averaged {
     fn gone_m(&self) -> f64 {
         self.reference_m
             * match self.flavour {
-                Flavour::Thesis => 1e-4,
+                Flavour::Thesis | Flavour::Measured => 1e-4,
                 Flavour::Physical => 3e-3,
             }
     }
@@ -539,7 +543,7 @@ impl Averaged {
         let pressed = self.press(amplitude);
         let purity = if ccw == 0.0 || cw == 0.0 { 1.0 } else { (cw - ccw).abs() / (cw + ccw) };
         let (crest, creep) = match self.flavour {
-            Flavour::Thesis => (c.rotor_per_crest * amplitude.max(c.wmin), 1.0),
+            Flavour::Thesis | Flavour::Measured => (c.rotor_per_crest * amplitude.max(c.wmin), 1.0),
             Flavour::Physical => {
                 let crest = c.rotor_per_crest * purity * (amplitude * c.omega + turning);
                 (crest.max(CREEP_RAD_S), (crest / CREEP_RAD_S).clamp(0.0, 1.0))

@@ -66,27 +66,31 @@ struct Coefficients<const N: usize> {
     vertical_damping: Lanes<N>,
     inertia_inv: Lanes<N>,
     rotational_damping: Lanes<N>,
-    braking: Option<Braking>,
+    braking: Option<Braking<N>>,
 }
 
-/// Friction that effects add, the same for every lane.
+/// Friction beside the contact's.
 #[derive(Debug, Clone, Copy)]
-struct Braking {
+struct Braking<const N: usize> {
     brake: f64,
-    off_brake: f64,
+    off_brake: Lanes<N>,
     stribeck: f64,
     stribeck_speed_inv: f64,
 }
 
 impl<const N: usize> Coefficients<N> {
-    fn new(parameters: &[Parameters; N], m: &Modulation) -> Self {
+    fn new(parameters: &[Parameters; N], flavour: Flavour, m: &Modulation) -> Self {
         let contacts = parameters.each_ref().map(Contact::new);
         let of =
             |f: &dyn Fn(&Parameters, &Contact) -> f64| Lanes(std::array::from_fn(|i| f(&parameters[i], &contacts[i])));
         let stretch = |p: &Parameters| (1.0 + m.resonance_shift_hz / p.resonance_hz()).powi(2);
+        // As listed, the contact's own torque goes with the wave: what is left without one is added.
+        let off_friction_nm = |p: &Parameters| {
+            if flavour.is_listed() { p.off_friction_nm(flavour) * m.preload * m.friction } else { 0.0 }
+        };
         let braking = Braking {
             brake: m.brake_nm,
-            off_brake: m.off_brake_nm,
+            off_brake: of(&|p, _| m.off_brake_nm + off_friction_nm(p)),
             stribeck: m.stribeck_nm,
             stribeck_speed_inv: 1.0 / m.stribeck_rad_s,
         };
@@ -109,7 +113,8 @@ impl<const N: usize> Coefficients<N> {
             vertical_damping: of(&|p, _| p.vertical_damping_ns_m),
             inertia_inv: of(&|p, _| 1.0 / p.rotor_inertia_kg_m2),
             rotational_damping: of(&|p, _| p.rotational_damping_nms),
-            braking: (m.brake_nm != 0.0 || m.off_brake_nm != 0.0 || m.stribeck_nm != 0.0).then_some(braking),
+            braking: (m.brake_nm != 0.0 || m.stribeck_nm != 0.0 || braking.off_brake.0.iter().any(|t| *t != 0.0))
+                .then_some(braking),
         }
     }
 }
@@ -154,7 +159,7 @@ fn steps_of(duration_s: f64, longest_s: f64) -> (u64, f64) {
 /// The rotor's height at rest (m).
 fn resting_height_m(p: &Parameters, flavour: Flavour) -> f64 {
     match flavour {
-        Flavour::Thesis => 0.0,
+        Flavour::Thesis | Flavour::Measured => 0.0,
         // Without a wave the contact is a spring of stiffness 2π·R0·Cn.
         Flavour::Physical => -p.preload_n / (2.0 * PI * p.contact_radius_m * p.contact_stiffness_n_m2),
     }
@@ -179,7 +184,7 @@ impl<const N: usize> SideBySide<N> {
         let mut state = [Lanes::all(0.0); 8];
         state[4] = Lanes(parameters.each_ref().map(|p| resting_height_m(p, flavour)));
         SideBySide {
-            coefficients: Coefficients::new(&parameters, &Modulation::NONE),
+            coefficients: Coefficients::new(&parameters, flavour, &Modulation::NONE),
             parameters,
             flavour,
             state,
@@ -224,7 +229,7 @@ impl Carrier {
         let mut state = [0.0; 8];
         state[4] = resting_height_m(&parameters, flavour);
         Carrier {
-            coefficients: Coefficients::new(&[parameters], &Modulation::NONE),
+            coefficients: Coefficients::new(&[parameters], flavour, &Modulation::NONE),
             parameters,
             flavour,
             state,
@@ -262,7 +267,7 @@ impl Carrier {
 
     /// Takes over what the effects change; cheap, but not free: do it every few microseconds, not every step.
     pub fn modulate(&mut self, modulation: &Modulation) {
-        self.coefficients = Coefficients::new(&[self.parameters], modulation);
+        self.coefficients = Coefficients::new(&[self.parameters], self.flavour, modulation);
     }
 
     /// Integrates `duration_s` under a constant drive, in equal steps no longer than the step set.
@@ -409,7 +414,7 @@ fn march<const N: usize>(
     h: f64,
 ) {
     match flavour {
-        Flavour::Thesis => march_in::<N, false>(c, supply, state, count, h),
+        Flavour::Thesis | Flavour::Measured => march_in::<N, false>(c, supply, state, count, h),
         Flavour::Physical => march_in::<N, true>(c, supply, state, count, h),
     }
 }
@@ -568,10 +573,10 @@ fn physical<const N: usize>(
     ]
 }
 
-/// Friction that effects add, fading out below [`CREEP_RAD_S`]; `gone` is the measure in which the wave is.
+/// Friction beside the contact's, fading out below [`CREEP_RAD_S`]; `gone` is the measure in which the wave is.
 #[inline(always)]
 fn braking<const N: usize>(c: &Coefficients<N>, speed: Lanes<N>, gone: Lanes<N>) -> Lanes<N> {
     let Some(b) = c.braking else { return Lanes::all(0.0) };
     let fading = speed.each(|v| b.stribeck * (-(v * b.stribeck_speed_inv).powi(2)).exp());
-    (b.brake + b.off_brake * gone + fading) * speed.each(|v| (v / CREEP_RAD_S).clamp(-1.0, 1.0))
+    (Lanes::all(b.brake) + b.off_brake * gone + fading) * speed.each(|v| (v / CREEP_RAD_S).clamp(-1.0, 1.0))
 }

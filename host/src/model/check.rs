@@ -13,10 +13,7 @@ use super::plant::Drive;
 use super::study::Setup;
 use rayon::prelude::*;
 use serde::Serialize;
-use twum_shared::reference::Reference;
-use twum_shared::step::{Config, ConfigError, ConfigSpec};
-
-const FLAVOURS: [Flavour; 2] = [Flavour::Thesis, Flavour::Physical];
+use twum_shared::step::ConfigError;
 
 /// The carrier model at one step size.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -90,9 +87,9 @@ pub struct Check {
 /// Never with the named controllers; those of a controller that cannot run.
 pub fn check(motor: &Motor) -> Result<Check, ConfigError> {
     Ok(Check {
-        convergence: FLAVOURS.iter().flat_map(|&flavour| convergence(motor, flavour)).collect(),
-        duties: FLAVOURS.iter().flat_map(|&flavour| duties(motor, flavour)).collect(),
-        transients: FLAVOURS.iter().flat_map(|&flavour| transients(motor, flavour)).collect(),
+        convergence: Flavour::ALL.iter().flat_map(|&flavour| convergence(motor, flavour)).collect(),
+        duties: Flavour::ALL.iter().flat_map(|&flavour| duties(motor, flavour)).collect(),
+        transients: Flavour::ALL.iter().flat_map(|&flavour| transients(motor, flavour)).collect(),
         pieces: pieces(motor)?,
     })
 }
@@ -212,6 +209,7 @@ pub fn pieces(motor: &Motor) -> Result<Vec<Piece>, ConfigError> {
     let mut cases = vec![
         ("thesis flavour, counts in the rotor's true sense".to_owned(), thesis, Flavour::Thesis, true, none),
         ("thesis flavour".to_owned(), thesis, Flavour::Thesis, false, none),
+        ("measured flavour".to_owned(), motor.parameters(Flavour::Measured), Flavour::Measured, false, none),
         ("physical flavour, counts in the rotor's true sense".to_owned(), physical, Flavour::Physical, true, none),
         ("physical flavour".to_owned(), physical, Flavour::Physical, false, none),
         ("physical flavour, eta 0.12 N/V (50 rpm)".to_owned(), fast, Flavour::Physical, false, none),
@@ -236,15 +234,7 @@ pub fn pieces(motor: &Motor) -> Result<Vec<Piece>, ConfigError> {
     cases
         .into_par_iter()
         .map(|(model, parameters, flavour, true_sense, effects)| {
-            let program = LoopProgram {
-                config: Config::try_from(ConfigSpec::THESIS)?,
-                reference: Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 },
-                pwm_hz: 50.0,
-                edges_per_rev: motor.edges_per_rev,
-                encoder_phase_rad: 0.0,
-                end_s: 10.0,
-                true_sense,
-            };
+            let program = LoopProgram { true_sense, ..LoopProgram::thesis(motor.edges_per_rev)? };
             let mut plant = MotorPlant::new(parameters, flavour, Solver::Averaged, &effects, History::default());
             let trace = run(&program, &mut plant, &effects)?;
             Ok(Piece { model, following: following(&program, &trace) })

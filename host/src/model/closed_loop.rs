@@ -8,10 +8,11 @@ use super::actuator::Pwm;
 use super::effects::EffectSet;
 use super::plant::{Direction, Plant};
 use super::sensor::Encoder;
+use crate::signal::tracking::{self, Tracking};
 use fixed::types::{I16F48, I32F32};
 use std::f64::consts::PI;
 use twum_shared::reference::Reference;
-use twum_shared::step::{Config, ConfigError, Inputs, State, step};
+use twum_shared::step::{Config, ConfigError, ConfigSpec, Inputs, State, step};
 
 /// A closed-loop run.
 #[derive(Debug, Clone)]
@@ -30,6 +31,24 @@ pub struct LoopProgram {
     pub end_s: f64,
     /// Whether counts take the rotor's true sense instead of the direction pin's: what no one-line encoder can do.
     pub true_sense: bool,
+}
+
+impl LoopProgram {
+    /// The thesis's test (section 5.3): 89 counts at 1.257 rad/s under its controller, 50 Hz PWM, 10 s.
+    ///
+    /// # Errors
+    /// Never: its configuration is valid.
+    pub fn thesis(edges_per_rev: u32) -> Result<Self, ConfigError> {
+        Ok(Self {
+            config: Config::try_from(ConfigSpec::THESIS)?,
+            reference: Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 },
+            pwm_hz: 50.0,
+            edges_per_rev,
+            encoder_phase_rad: 0.0,
+            end_s: 10.0,
+            true_sense: false,
+        })
+    }
 }
 
 /// One control tick.
@@ -144,24 +163,27 @@ impl Reversals {
 /// How well a run followed its reference.
 pub fn following(program: &LoopProgram, trace: &[Tick]) -> Following {
     let count_deg = 360.0 / f64::from(program.edges_per_rev);
-    let mut sums = [0.0; 4];
-    for tick in trace {
-        let counted = f64::from(tick.target - tick.position) * count_deg;
-        let truly = f64::from(tick.target) * count_deg - tick.angle_rad * 180.0 / PI;
-        for (sum, value) in sums.iter_mut().zip([counted * counted, counted.abs(), truly * truly, truly.abs()]) {
-            *sum += value;
-        }
-    }
+    let counted: Vec<tracking::Tick> = trace
+        .iter()
+        .map(|t| tracking::Tick {
+            time_s: t.time_s,
+            target: t.target.into(),
+            position: t.position.into(),
+            duty: t.duty,
+        })
+        .collect();
+    let counted = Tracking::of(&counted, program.edges_per_rev);
+    let truly = || trace.iter().map(|t| f64::from(t.target) * count_deg - t.angle_rad * 180.0 / PI);
     let n = trace.len().max(1) as f64;
     let miscount = trace.last().map_or(0, |tick| {
         let edges = (tick.angle_rad + program.encoder_phase_rad) * f64::from(program.edges_per_rev) / (2.0 * PI);
         i64::from(tick.position) - edges.floor() as i64
     });
     Following {
-        mse_deg2: sums[0] / n,
-        mean_abs_deg: sums[1] / n,
-        true_mse_deg2: sums[2] / n,
-        true_mean_abs_deg: sums[3] / n,
+        mse_deg2: counted.as_ref().map_or(0.0, |c| c.mse_deg2),
+        mean_abs_deg: counted.as_ref().map_or(0.0, |c| c.mean_abs_deg),
+        true_mse_deg2: truly().map(|e| e * e).sum::<f64>() / n,
+        true_mean_abs_deg: truly().map(f64::abs).sum::<f64>() / n,
         miscount,
     }
 }

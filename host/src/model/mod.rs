@@ -27,6 +27,7 @@ pub mod actuator;
 mod arccosine;
 pub mod averaged;
 mod blend;
+pub mod braking;
 pub mod carrier;
 pub mod check;
 pub mod closed_loop;

@@ -17,6 +17,9 @@
 //! value = 1.248e-3
 //! # unit, meaning, source as above
 //!
+//! [measured.uoff]           # optional: where the measured flavour differs
+//! value = 0.0144
+//!
 //! [effects.dead-zone]       # optional: effects of the catalogue that this motor has
 //! threshold_duty = 0.05
 //! ```
@@ -50,7 +53,7 @@ pub struct Entry {
     pub uncertainty: Option<f64>,
 }
 
-/// A motor: its parameters in both flavours, and where each number comes from.
+/// A motor: its parameters in every flavour, and where each number comes from.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Motor {
     /// Name, as a measurement folder refers to it.
@@ -64,6 +67,9 @@ pub struct Motor {
     /// Those that differ in the physical flavour.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub physical: BTreeMap<String, Entry>,
+    /// Those that differ in the measured flavour.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub measured: BTreeMap<String, Entry>,
     /// Effects it has (see [`super::effects::CATALOGUE`]), each with its parameters by name.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub effects: BTreeMap<String, BTreeMap<String, f64>>,
@@ -75,6 +81,14 @@ pub enum MotorError {
     /// The file cannot be read.
     #[error("motor file {file}: {reason}; the shipped motors are {}", shipped())]
     Read {
+        /// The file.
+        file: String,
+        /// Why.
+        reason: std::io::Error,
+    },
+    /// A file of effects cannot be read.
+    #[error("effects file {file}: {reason}")]
+    ReadEffects {
         /// The file.
         file: String,
         /// Why.
@@ -122,7 +136,15 @@ struct Reader<'a> {
 
 type Table<'a> = Spanned<DeTable<'a>>;
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn root(&self) -> Result<Table<'a>, MotorError> {
+        DeTable::parse(self.text).map_err(|error| MotorError::Syntax {
+            file: self.file.into(),
+            line: self.line(error.span().map_or(0, |span| span.start)),
+            message: error.message().to_owned(),
+        })
+    }
+
     fn line(&self, offset: usize) -> usize {
         self.text.as_bytes().iter().take(offset).filter(|&&b| b == b'\n').count() + 1
     }
@@ -198,7 +220,11 @@ impl Reader<'_> {
 
     fn motor(&self, root: &Table<'_>) -> Result<Motor, MotorError> {
         let table = root.get_ref();
-        self.known("", table, &["name", "title", "edges_per_rev", "lambda", "parameters", "physical", "effects"])?;
+        self.known(
+            "",
+            table,
+            &["name", "title", "edges_per_rev", "lambda", "parameters", "physical", "measured", "effects"],
+        )?;
         let need = |name: &str| table.get(name).ok_or_else(|| self.key(name, 0, "is missing"));
         let edges = need("edges_per_rev")?;
         let count = self.number("edges_per_rev", edges)?;
@@ -212,37 +238,23 @@ impl Reader<'_> {
         let names: Vec<&str> = SPECS.iter().map(|spec| spec.name).collect();
         self.known("parameters.", listed, &names)?;
         let mut parameters = BTreeMap::new();
-        let mut physical = BTreeMap::new();
-        let corrected = match table.get("physical") {
-            None => None,
-            Some(value) => Some(
-                value
-                    .get_ref()
-                    .as_table()
-                    .ok_or_else(|| self.key("physical", value.span().start, "must be a table"))?,
-            ),
-        };
-        if let Some(corrected) = corrected {
-            self.known("physical.", corrected, &names)?;
-        }
         for spec in &SPECS {
             let key = format!("parameters.{}", spec.name);
             let value = listed.get(spec.name).ok_or_else(|| self.key(&*key, values.span().start, "is missing"))?;
             parameters.insert(spec.name.to_owned(), self.entry(&key, spec.unit, value)?);
-            if let Some(value) = corrected.and_then(|table| table.get(spec.name)) {
-                let key = format!("physical.{}", spec.name);
-                physical.insert(spec.name.to_owned(), self.entry(&key, spec.unit, value)?);
-            }
         }
         let motor = Motor {
             name: self.string("name", need("name")?)?,
             title: self.string("title", need("title")?)?,
             edges_per_rev: count as u32,
             parameters,
-            physical,
+            physical: self.departures(table, "physical")?,
+            measured: self.departures(table, "measured")?,
             effects: self.effects(table)?,
         };
-        for (flavour, prefix) in [(Flavour::Thesis, "parameters"), (Flavour::Physical, "physical")] {
+        for (flavour, prefix) in
+            [(Flavour::Thesis, "parameters"), (Flavour::Physical, "physical"), (Flavour::Measured, "measured")]
+        {
             motor.assemble(flavour).check().map_err(|error| {
                 let name = match &error {
                     ParameterError::OutOfBounds { name, .. } => name,
@@ -252,7 +264,7 @@ impl Reader<'_> {
                     // Not about a value in the file.
                     ParameterError::Unknown { .. } | ParameterError::NotAnAssignment { .. } => "",
                 };
-                let own = corrected.and_then(|t| t.get(name)).filter(|_| flavour == Flavour::Physical);
+                let own = table.get(prefix).and_then(|t| t.get_ref().as_table()?.get(name));
                 let (prefix, at) = match own {
                     Some(value) => (prefix, value.span().start),
                     None => ("parameters", listed.get(name).map_or(0, |value| value.span().start)),
@@ -271,6 +283,20 @@ impl Reader<'_> {
             }
         }
         Ok(motor)
+    }
+
+    /// The parameters of a flavour that differ from those listed.
+    fn departures(&self, root: &DeTable<'_>, flavour: &str) -> Result<BTreeMap<String, Entry>, MotorError> {
+        let Some(value) = root.get(flavour) else { return Ok(BTreeMap::new()) };
+        let table =
+            value.get_ref().as_table().ok_or_else(|| self.key(flavour, value.span().start, "must be a table"))?;
+        self.known(&format!("{flavour}."), table, &SPECS.map(|spec| spec.name))?;
+        let stated = SPECS.iter().filter_map(|spec| Some((spec, table.get(spec.name)?)));
+        stated
+            .map(|(spec, value)| {
+                Ok((spec.name.to_owned(), self.entry(&format!("{flavour}.{}", spec.name), spec.unit, value)?))
+            })
+            .collect()
     }
 
     /// The effects listed; a parameter that is not given keeps the catalogue's absent value.
@@ -313,6 +339,17 @@ fn place(set: &mut EffectSet, info: &EffectInfo, values: &BTreeMap<String, f64>)
     set.set(info.name, &values)
 }
 
+fn effect_set(listed: &BTreeMap<String, BTreeMap<String, f64>>) -> EffectSet {
+    let mut set = EffectSet::default();
+    for (name, values) in listed {
+        // Both were checked when the file was read; what was put there since and will not do is left out.
+        if let Ok(info) = info(name) {
+            let _ = place(&mut set, info, values);
+        }
+    }
+    set
+}
+
 impl Motor {
     /// Reads a motor file's text; `file` is its name in messages.
     ///
@@ -320,12 +357,7 @@ impl Motor {
     /// Names the key and the line of the first thing that will not do.
     pub fn parse(file: &str, text: &str) -> Result<Self, MotorError> {
         let reader = Reader { file, text };
-        let root = DeTable::parse(text).map_err(|error| MotorError::Syntax {
-            file: file.into(),
-            line: reader.line(error.span().map_or(0, |span| span.start)),
-            message: error.message().to_owned(),
-        })?;
-        reader.motor(&root)
+        reader.motor(&reader.root()?)
     }
 
     /// A shipped motor by its name, and nothing else: a name in somebody's data must not open a file.
@@ -350,6 +382,21 @@ impl Motor {
         let text = input::text(Path::new(name_or_path), input::WRITTEN)
             .map_err(|reason| MotorError::Read { file: name_or_path.into(), reason })?;
         Self::parse(name_or_path, &text)
+    }
+
+    /// The effects that a file of `[effects.NAME]` tables lists, written as in a motor file.
+    ///
+    /// # Errors
+    /// Names the key and the line of the first thing that will not do.
+    pub fn effects_of_file(path: &Path) -> Result<EffectSet, MotorError> {
+        let file = path.display().to_string();
+        let text = input::text(path, input::WRITTEN)
+            .map_err(|reason| MotorError::ReadEffects { file: file.clone(), reason })?;
+        let reader = Reader { file: &file, text: &text };
+        let root = reader.root()?;
+        reader.known("", root.get_ref(), &["effects"])?;
+        let listed = reader.effects(root.get_ref())?;
+        Ok(effect_set(&listed))
     }
 
     /// What a recording keeps of a motor: the name of a shipped one, or the content of a motor file, which may be changed or
@@ -381,24 +428,25 @@ impl Motor {
 
     /// The effects the file lists.
     pub fn effects(&self) -> EffectSet {
-        let mut set = EffectSet::default();
-        for (name, values) in &self.effects {
-            // Both were checked when the file was read; what was put there since and will not do is left out.
-            if let Ok(info) = info(name) {
-                let _ = place(&mut set, info, values);
-            }
-        }
-        set
+        effect_set(&self.effects)
     }
 
     fn assemble(&self, flavour: Flavour) -> Parameters {
         let mut values = [0.0; 20];
         for (value, spec) in values.iter_mut().zip(&SPECS) {
-            let listed = &self.parameters[spec.name];
-            let corrected = self.physical.get(spec.name).filter(|_| flavour == Flavour::Physical);
-            *value = corrected.unwrap_or(listed).value;
+            *value = self.entry(flavour, spec.name).unwrap_or(&self.parameters[spec.name]).value;
         }
         Parameters::from_array(values)
+    }
+
+    /// What the file says of a parameter in a flavour; none for a name that is not in [`SPECS`].
+    pub fn entry(&self, flavour: Flavour, name: &str) -> Option<&Entry> {
+        let own = match flavour {
+            Flavour::Thesis => None,
+            Flavour::Physical => self.physical.get(name),
+            Flavour::Measured => self.measured.get(name),
+        };
+        own.or_else(|| self.parameters.get(name))
     }
 
     /// The file that says the same, comments aside.

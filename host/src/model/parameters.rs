@@ -9,13 +9,29 @@ use std::f64::consts::PI;
 use thiserror::Error;
 
 /// Which reading of the hybrid model is meant.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, serde::Deserialize)]
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, serde::Deserialize, clap::ValueEnum,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Flavour {
-    /// Formula for formula as the thesis lists it (sections A.4 to A.6), its errors included.
-    Thesis,
-    /// What the listing gets wrong put right; see `docs/model.md` for each change.
+    /// The listing's errors put right: lighter stator, greater preload, and a rotor clamped while the drive is off
+    #[default]
     Physical,
+    /// The thesis's closed loop with the real motor: the listed equations, and a rotor that brakes partly while the drive is off
+    Measured,
+    /// Formula for formula as the thesis lists it, errors included: the rotor coasts while the drive is off
+    Thesis,
+}
+
+impl Flavour {
+    /// Every flavour, in the order of the thesis's history: listed, put right, measured.
+    pub const ALL: [Flavour; 3] = [Flavour::Thesis, Flavour::Physical, Flavour::Measured];
+
+    /// Whether wave and contact follow the equations as listed (sections A.4 to A.6): the identified constants go with
+    /// them. `Measured` differs from `Thesis` in the friction without a wave alone.
+    pub fn is_listed(self) -> bool {
+        self != Flavour::Physical
+    }
 }
 
 impl std::fmt::Display for Flavour {
@@ -23,6 +39,7 @@ impl std::fmt::Display for Flavour {
         f.write_str(match self {
             Flavour::Thesis => "thesis",
             Flavour::Physical => "physical",
+            Flavour::Measured => "measured",
         })
     }
 }
@@ -72,6 +89,7 @@ pub struct Parameters {
     /// `Cn`: normal stiffness of the contact per metre of circumference (N/m²).
     pub contact_stiffness_n_m2: f64,
     /// `uoff`: coefficient of friction while the rotor rests on the whole stator (1). Unused in the thesis flavour.
+    /// `uoff`·`Fext`·`R0` is the torque that brakes the rotor once the wave is gone.
     pub off_friction: f64,
 }
 
@@ -314,6 +332,14 @@ impl Parameters {
     /// `k`: angular wavenumber round the contact circle (rad/m), n/R0.
     pub fn wavenumber(&self) -> f64 {
         self.waves / self.contact_radius_m
+    }
+
+    /// Torque that brakes the rotor once the wave is gone (N·m): none as listed, `uoff`·`Fext`·`R0` otherwise.
+    pub fn off_friction_nm(&self, flavour: Flavour) -> f64 {
+        match flavour {
+            Flavour::Thesis => 0.0,
+            Flavour::Physical | Flavour::Measured => self.off_friction * self.preload_n * self.contact_radius_m,
+        }
     }
 
     /// `lambda`: wavelength along the contact circle (m).

@@ -39,7 +39,7 @@ pub trait Plant {
 }
 
 /// One step of a plant: its ends, from which everything between follows by cubic interpolation.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Segment {
     /// Start (s).
     pub start_s: f64,

@@ -154,11 +154,13 @@ fn the_carrier_converges_with_fourth_order() {
 /// The averaged model against the carrier over duties, flavours and parameters.
 #[test]
 fn the_averaged_model_follows_the_carrier() {
-    let cases: [(Flavour, f64, &[&str]); 8] = [
+    let cases: [(Flavour, f64, &[&str]); 10] = [
         (Flavour::Thesis, 1.0, &[]),
         (Flavour::Thesis, 0.25, &[]),
         (Flavour::Thesis, 0.5, &["u=0.15", "Fext=2"]),
         (Flavour::Thesis, 0.75, &["eta=0.7", "Tload=3e-4"]),
+        (Flavour::Measured, 0.125, &[]),
+        (Flavour::Measured, 0.5, &["uoff=0.1", "Tload=2e-4"]),
         (Flavour::Physical, 1.0, &["eta=0.09"]),
         (Flavour::Physical, 0.125, &[]),
         (Flavour::Physical, 0.5, &["Fext=6", "u=0.2"]),

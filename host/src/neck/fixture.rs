@@ -16,7 +16,7 @@ pub fn setup(flavour: Flavour) -> Setup {
         motor: JointMotor::load("pcbmotor-30mm", flavour, Solver::Averaged).unwrap(),
         control: match flavour {
             Flavour::Thesis => Named::Thesis,
-            Flavour::Physical => Named::Default,
+            Flavour::Physical | Flavour::Measured => Named::Default,
         },
         edges_per_rev: DEFAULT_EDGES_PER_REV,
         pwm_hz: 50.0,

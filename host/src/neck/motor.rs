@@ -103,7 +103,7 @@ mod tests {
     /// A standing rotor slips everywhere against the crests, so the contact gives its whole friction: μ·Fext·R0.
     #[test]
     fn stall_torque_is_the_contacts_whole_friction() {
-        for flavour in [Flavour::Thesis, Flavour::Physical] {
+        for flavour in Flavour::ALL {
             let p = Motor::pcbmotor_30mm().parameters(flavour);
             let friction_nm = p.friction * p.preload_n * p.contact_radius_m;
             let stall_nm = motor(flavour).stall_nm();

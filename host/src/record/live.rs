@@ -1,5 +1,8 @@
 //! What `twum live` shows: the latest target, position, speed, duty, state and faults, and their last half minute.
 //!
+//! Positions count from the board's zero, where it started or was aligned. A run's ticks count from where the run began, so
+//! that place is added to them.
+//!
 //! It is fed with messages and drawn a few times a second; nothing here waits, so that whoever records is never held up.
 
 use super::decode::LinkStatistics;
@@ -49,6 +52,10 @@ pub struct LiveView {
     fault: Option<Fault>,
     target: Option<i32>,
     position: i32,
+    /// Where the run began, on the board's count; none until a status has told.
+    origin: Option<i32>,
+    /// The last status' position, as long as no run has moved the rotor since.
+    resting: Option<i32>,
     /// Signed fraction of the PWM period with drive on.
     duty: f64,
     lost_items: u32,
@@ -85,16 +92,24 @@ impl LiveView {
             }
             DeviceMessage::Control(block) => {
                 if let Some(sample) = block.samples.last().filter(|_| !self.run_ended) {
-                    self.target = Some(sample.target);
+                    let origin = self.origin.unwrap_or(0);
+                    self.target = Some(origin.wrapping_add(sample.target));
                     self.duty = f64::from(sample.on_steps) / f64::from(self.duty_steps.max(1))
                         * f64::from(sample.direction.sign());
-                    self.moved(sample.position);
+                    self.moved(origin.wrapping_add(sample.position));
                 }
             }
             DeviceMessage::Status(status) => {
                 (self.mode, self.fault) = (Some(status.mode), status.fault);
                 (self.lost_items, self.late_ticks) = (status.lost_items, status.late_ticks);
+                if self.target.is_some() && self.origin.is_none() {
+                    // What was shown so far stood on another zero; the rotor moves a few counts between tick and status.
+                    self.origin = Some(status.position.wrapping_sub(self.position));
+                    self.recent.clear();
+                    self.history.clear();
+                }
                 if self.target.is_none() {
+                    self.resting = Some(status.position);
                     self.duty = f64::from(status.duty.raw()) / f64::from(twum_shared::Duty::FULL.raw())
                         * f64::from(status.direction.sign());
                     self.moved(status.position);
@@ -103,6 +118,7 @@ impl LiveView {
             DeviceMessage::RunStarted { .. } => {
                 self.recent.clear();
                 self.run_ended = false;
+                self.origin = self.resting.take();
                 self.note("run started".to_owned());
             }
             DeviceMessage::RunEnded { end, .. } => {
@@ -151,7 +167,23 @@ impl LiveView {
         }
     }
 
-    fn degrees(&self, counts: i32) -> f64 {
+    /// Wanted position in counts from the board's zero, in a closed loop.
+    pub fn target(&self) -> Option<i32> {
+        self.target
+    }
+
+    /// Position in counts from the board's zero.
+    pub fn position(&self) -> i32 {
+        self.position
+    }
+
+    /// Signed fraction of the PWM period with drive on.
+    pub fn duty(&self) -> f64 {
+        self.duty
+    }
+
+    /// Counts as degrees.
+    pub fn degrees(&self, counts: i32) -> f64 {
         f64::from(counts) * 360.0 / f64::from(self.edges_per_rev.unwrap_or(400).max(1))
     }
 
@@ -164,6 +196,11 @@ impl LiveView {
     pub fn notes_after(&self, seen: u64) -> (impl Iterator<Item = &str>, u64) {
         let new = self.noted.saturating_sub(seen).min(self.log.len() as u64) as usize;
         (self.log.iter().skip(self.log.len() - new).map(String::as_str), self.noted)
+    }
+
+    /// Position in degrees from the board's zero.
+    pub fn position_deg(&self) -> f64 {
+        self.degrees(self.position)
     }
 
     /// Mean speed over the last 0.3 s, rpm.
@@ -232,7 +269,7 @@ impl LiveView {
         let target: Vec<(f64, f64)> =
             self.history.iter().filter_map(|point| Some((at(point), point.target_deg?))).collect();
         let lines = [("target", &target, Color::Blue), ("position", &position, Color::Yellow)];
-        draw_chart(frame, area, "target (blue), position (yellow), °", &lines);
+        draw_chart(frame, area, "target (blue), position (yellow), ° from the board's zero", &lines);
     }
 
     fn draw_speed(&self, frame: &mut Frame, area: Rect) {
@@ -331,6 +368,53 @@ mod tests {
         view.observe(400_000, &DeviceMessage::RunEnded { end, end_us: 320_000 });
         view.observe(401_000, &DeviceMessage::Control(last));
         assert_eq!((view.target, view.duty), (None, 0.0));
+    }
+
+    /// A run's ticks count from where it began; the status counts from the board's zero.
+    #[test]
+    fn a_run_that_begins_away_from_zero_does_not_jump() {
+        let status = |position| {
+            DeviceMessage::Status(twum_shared::message::Status {
+                mode: Mode::Armed,
+                fault: None,
+                position,
+                duty: twum_shared::Duty::OFF,
+                direction: twum_shared::Direction::Cw,
+                ticks: 0,
+                late_ticks: 0,
+                worst_late_us: 0,
+                worst_duration_us: 0,
+                edges: 0,
+                lost_items: 0,
+                bad_frames: 0,
+            })
+        };
+        let mut view = LiveView::new();
+        view.observe(0, &configured(ConfigSpec::THESIS));
+        view.observe(100_000, &status(1000));
+        view.observe(150_000, &DeviceMessage::RunStarted { start_us: 150_000 });
+        let mut last = 0;
+        for block in control_blocks(ConfigSpec::THESIS, 0, 200) {
+            last = block.samples.last().unwrap().position;
+            view.observe(150_000 + block.first_us, &DeviceMessage::Control(block));
+        }
+        assert_eq!(view.position, 1000 + last);
+        let end = twum_shared::message::RunEnd::Completed;
+        view.observe(2_000_000, &DeviceMessage::RunEnded { end, end_us: 1_900_000 });
+        view.observe(2_100_000, &status(1000 + last));
+        let shown: Vec<f64> = view.history().map(|point| point.position_deg).collect();
+        let jump = shown.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+        // At 35 rpm the rotor turns 10° in the 50 ms of a point.
+        assert!(shown.len() > 10 && jump < 15.0, "{jump}: {shown:?}");
+        // Watched from the middle of a run, the first status tells where it began.
+        let mut late = LiveView::new();
+        late.observe(0, &configured(ConfigSpec::THESIS));
+        let block = control_blocks(ConfigSpec::THESIS, 0, 1).remove(0);
+        let position = block.samples.last().unwrap().position;
+        late.observe(10_000, &DeviceMessage::Control(block.clone()));
+        late.observe(20_000, &status(500 + position));
+        late.observe(30_000, &DeviceMessage::Control(block));
+        assert_eq!(late.position, 500 + position);
     }
 
     #[test]

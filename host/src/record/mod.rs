@@ -14,6 +14,7 @@ pub mod pieces;
 pub mod plot;
 mod protocol_1;
 pub mod recording;
+pub mod series;
 pub mod store;
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ use super::store::{Integrity, Metadata, Sender, StoreError};
 use std::io::{Read, Seek};
 use std::path::Path;
 use twum_shared::bits;
+use twum_shared::frame::Header;
 use twum_shared::message::{
     BitsBlock, Configuration, ControlBlock, ControlSample, DeviceMessage, EdgesBlock, FaultReport, HostMessage,
     Identity, RunEnd, SpeedRun, Status, TrackRun,
@@ -179,7 +180,9 @@ impl EventKind {
             Self::Hello(identity) => {
                 ("hello", format!("{} on {}, reset: {:?}", identity.firmware, identity.chip, identity.reset))
             }
-            Self::Configured(configuration) => ("configured", format!("{configuration:?}")),
+            Self::Configured(configuration) => {
+                ("configured", serde_json::to_string(configuration).unwrap_or_else(|_| format!("{configuration:?}")))
+            }
             Self::Aligned => ("aligned", String::new()),
             Self::RunStarted => ("run-started", String::new()),
             Self::RunEnded(end) => ("run-ended", format!("{end:?}")),
@@ -250,7 +253,45 @@ impl Recording {
     }
 }
 
+/// A recording put together in memory while its messages arrive.
+#[derive(Debug)]
+pub struct Gathering {
+    builder: Builder,
+    session: u32,
+    time_us: u64,
+}
+
+impl Gathering {
+    /// Nothing yet, of a run that was asked for with `command`.
+    pub fn new(command: Command) -> Self {
+        let mut builder = Builder::new(Metadata::now());
+        builder.command = command;
+        Self { builder, session: 0, time_us: 0 }
+    }
+
+    /// Takes a message of the board.
+    pub fn take(&mut self, header: Header, message: &DeviceMessage) {
+        if header.time_us < self.time_us {
+            self.session += 1;
+        }
+        self.time_us = header.time_us;
+        let (session, host_time_ns) = (self.session, header.time_us.saturating_mul(1000));
+        let command = self.builder.command.clone();
+        self.builder.add(Item::Device { session, host_time_ns, header, message: message.clone() });
+        // A session's first message forgets the command before it: here it was this session's.
+        if session == 0 {
+            self.builder.command = command;
+        }
+    }
+
+    /// What was gathered.
+    pub fn recording(self) -> Recording {
+        self.builder.recording
+    }
+}
+
 /// Puts a recording together from its items.
+#[derive(Debug)]
 pub(super) struct Builder {
     pub(super) recording: Recording,
     session: u32,

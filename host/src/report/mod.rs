@@ -3,4 +3,5 @@
 pub mod comparison;
 pub mod figure;
 pub mod html;
+pub mod run;
 pub mod speed;

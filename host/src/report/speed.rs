@@ -3,13 +3,12 @@
 use super::figure::{Figure, Panel};
 use crate::record::measurement::Run;
 use crate::signal::SignalError;
+use crate::signal::course::{Course, Drive, START_S};
 use crate::signal::run::Motion;
 use crate::signal::spectrum::against_angle;
 use crate::signal::turn::TurnFit;
 use std::f64::consts::TAU;
 
-/// The start of a run that the fit over angle leaves out, in s: the real motor's start is over by then.
-pub const START_S: f64 = 0.2;
 /// Highest order shown.
 const ORDERS_SHOWN: f64 = 10.0;
 /// Turns drawn with a line of their own; later ones share one.
@@ -20,15 +19,6 @@ const TURNS_NAMED: usize = 4;
 pub struct Simulated {
     /// Time in s and speed in rpm.
     pub speed: Vec<(f64, f64)>,
-}
-
-/// What a single number cannot say of a speed.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Findings {
-    /// Greatest speed (by amount) within [`START_S`] of the first motion, in rpm, signed, and its time in s.
-    pub start_peak: Option<(f64, f64)>,
-    /// The speed over angle and time after the start; none below a turn.
-    pub fit: Option<TurnFit>,
 }
 
 impl Simulated {
@@ -45,36 +35,15 @@ impl Simulated {
     }
 }
 
-/// Reads the findings off a motion.
-pub fn findings(motion: &Motion) -> Findings {
-    let after = settled(motion);
-    let time_s: Vec<f64> = motion.time_us[after..].iter().map(|t| t * 1e-6).collect();
-    let fit = TurnFit::new(&time_s, &motion.position_rad[after..], &motion.speed_rpm[after..]).ok();
-    let start = (0..after).filter(|i| motion.speed_rpm[*i].is_finite());
-    let peak = start.max_by(|a, b| motion.speed_rpm[*a].abs().total_cmp(&motion.speed_rpm[*b].abs()));
-    Findings { start_peak: peak.map(|i| (motion.speed_rpm[i], motion.time_us[i] * 1e-6)), fit }
-}
-
-/// First sample after the start.
-fn settled(motion: &Motion) -> usize {
-    let begins = motion.time_us.first().copied().unwrap_or(0.0);
-    motion.time_us.partition_point(|t| *t < begins + START_S * 1e6)
-}
-
 /// What a measured speed has and a simulated one lacks, in words; empty when there is nothing of note (3 % of the mean
 /// speed).
-pub fn lacking(measured: &Findings, simulated: &Findings) -> Vec<String> {
+pub fn lacking(measured: &Course, simulated: &Course) -> Vec<String> {
     const OF_NOTE: f64 = 0.03;
     let Some(fit) = &measured.fit else { return Vec::new() };
-    let mean = fit.mean_rpm.abs();
-    let overshoot = |found: &Findings| {
-        let over =
-            found.start_peak.zip(found.fit.as_ref()).map(|((peak, _), fit)| peak.abs() / fit.mean_rpm.abs() - 1.0);
-        over.filter(|over| over.is_finite()).unwrap_or(0.0)
-    };
+    let mean = measured.mean_rpm.unwrap_or(0.0).abs();
     let mut lacks = Vec::new();
-    let over = overshoot(measured);
-    if over - overshoot(simulated) > 2.0 * OF_NOTE {
+    let over = measured.overshoot.unwrap_or(0.0);
+    if over - simulated.overshoot.unwrap_or(0.0) > 2.0 * OF_NOTE {
         lacks.push(format!("a start that overshoots by {:.0} %", 100.0 * over));
     }
     let (how_often, ripple) = strongest_order(fit);
@@ -102,8 +71,13 @@ fn strongest_order(fit: &TurnFit) -> (&'static str, f64) {
 ///
 /// # Errors
 /// Only of the spectrum when the motion holds more than a turn and still cannot be transformed.
-pub fn figure(title: &str, motion: &Motion, simulated: Option<&Simulated>) -> Result<Figure, SignalError> {
-    let found = findings(motion);
+pub fn figure(
+    title: &str,
+    motion: &Motion,
+    drive: Drive,
+    simulated: Option<&Simulated>,
+) -> Result<Figure, SignalError> {
+    let found = Course::of(motion, drive);
     let seconds: Vec<f64> = motion.time_us.iter().map(|t| t * 1e-6).collect();
     let measured: Vec<(f64, f64)> = seconds.iter().copied().zip(motion.speed_rpm.iter().copied()).collect();
     let mut over_time = Panel::new("time (s)", "speed (rpm)").title(time_heading(&found)).line("measured", &measured);
@@ -117,19 +91,16 @@ pub fn figure(title: &str, motion: &Motion, simulated: Option<&Simulated>) -> Re
         over_time = over_time.dashed("simulated", &simulated.speed);
     }
     let Some(fit) = &found.fit else { return Ok(Figure::new(title).panel(over_time)) };
-    let lacks = simulated.map_or(Vec::new(), |simulated| lacking(&found, &findings(&simulated.motion())));
+    let lacks = simulated.map_or(Vec::new(), |simulated| lacking(&found, &Course::of(&simulated.motion(), drive)));
     let title = match lacks.as_slice() {
         [] => title.to_owned(),
         lacks => format!("{title}. The simulation lacks: {}", lacks.join("; ")),
     };
-    let trend: Vec<(f64, f64)> = [settled(motion), seconds.len() - 1]
-        .map(|i| (seconds[i], fit.mean_rpm + fit.drift_rpm_per_s * (seconds[i] - fit.middle_s)))
-        .to_vec();
+    let trend: Vec<(f64, f64)> =
+        found.settled_s.map(|t| (t, fit.mean_rpm + fit.drift_rpm_per_s * (t - fit.middle_s))).to_vec();
     over_time = over_time.line("trend", &trend);
-    let spectrum = {
-        let after = settled(motion);
-        against_angle(&motion.position_rad[after..], &motion.speed_rpm[after..])?
-    };
+    let spectrum =
+        against_angle(&motion.position_rad[found.settled.clone()], &motion.speed_rpm[found.settled.clone()])?;
     let shown: Vec<(f64, f64)> = spectrum
         .at
         .iter()
@@ -154,7 +125,7 @@ pub fn figure(title: &str, motion: &Motion, simulated: Option<&Simulated>) -> Re
         .columns(2)
         .panel(over_time)
         .panel(start)
-        .panel(angle_panel(motion, fit, simulated))
+        .panel(angle_panel(motion, &found, fit, simulated))
         .panel(orders))
 }
 
@@ -170,14 +141,17 @@ fn within(panel: Panel, speed_rpm: &[f64], simulated: Option<&Simulated>) -> Pan
     panel.y_range(low - margin, high + margin)
 }
 
-fn time_heading(found: &Findings) -> String {
-    let Some(fit) = &found.fit else { return "Speed against time".to_owned() };
-    format!("Against time: mean {} rpm, trend {} rpm/s", number(fit.mean_rpm, 1), number(fit.drift_rpm_per_s, 2))
+fn time_heading(found: &Course) -> String {
+    let Some(mean) = found.mean_rpm else { return "Speed against time".to_owned() };
+    let trend = found.fit.as_ref().map_or(String::new(), |f| format!(", trend {} rpm/s", number(f.drift_rpm_per_s, 2)));
+    format!("Against time: mean {} rpm settled{trend}", number(mean, 2))
 }
 
-fn start_heading(found: &Findings) -> String {
-    match (&found.fit, found.start_peak) {
-        (Some(fit), Some((peak, at))) if peak.abs() > 1.1 * fit.mean_rpm.abs() => {
+fn start_heading(found: &Course) -> String {
+    /// A start is said to overshoot from here on: the PWM's own ripple is less at high duty.
+    const OF_NOTE: f64 = 0.1;
+    match (found.overshoot, found.start_peak_rpm, found.start_peak_s) {
+        (Some(over), Some(peak), Some(at)) if over > OF_NOTE => {
             format!("Start: overshoots to {} rpm at {:.0} ms", number(peak, 1), at * 1e3)
         }
         _ => "Start".to_owned(),
@@ -195,9 +169,8 @@ pub fn overview(title: &str, runs: &[(&Run, &Motion)], simulated_rpm: Option<f64
         let label = if runs.len() <= MOST_NAMED { run.id.clone() } else { String::new() };
         let line: Vec<(f64, f64)> =
             motion.time_us.iter().map(|t| t * 1e-6).zip(motion.speed_rpm.iter().copied()).collect();
-        let known: Vec<f64> = motion.speed_rpm.iter().copied().filter(|v| v.is_finite()).collect();
-        if let Some(duty) = run.duty.filter(|_| !known.is_empty()) {
-            means.push((100.0 * duty, known.iter().sum::<f64>() / known.len() as f64));
+        if let Some((duty, mean)) = run.duty.zip(Course::of(motion, Drive::of(run)).mean_rpm) {
+            means.push((100.0 * duty, mean));
         }
         over_time = over_time.line(label, &line);
     }
@@ -218,11 +191,10 @@ pub fn overview(title: &str, runs: &[(&Run, &Motion)], simulated_rpm: Option<f64
 }
 
 /// Speed less its trend against the angle in the turn, one line a turn.
-fn angle_panel(motion: &Motion, fit: &TurnFit, simulated: Option<&Simulated>) -> Panel {
-    let after = settled(motion);
-    let start = motion.position_rad[after];
+fn angle_panel(motion: &Motion, found: &Course, fit: &TurnFit, simulated: Option<&Simulated>) -> Panel {
+    let start = motion.position_rad[found.settled.start];
     let mut turns: Vec<Vec<(f64, f64)>> = Vec::new();
-    for i in after..motion.time_us.len() {
+    for i in found.settled.clone() {
         let angle = motion.position_rad[i];
         let turn = ((angle - start) / TAU).abs().floor() as usize;
         let drift = fit.drift_rpm_per_s * (motion.time_us[i] * 1e-6 - fit.middle_s);
@@ -318,19 +290,20 @@ mod tests {
     #[test]
     fn the_headings_say_what_was_put_in() {
         let motion = example();
-        let found = findings(&motion);
+        let found = Course::of(&motion, Drive::default());
         let fit = found.fit.unwrap();
         assert!((fit.drift_rpm_per_s + 1.0).abs() < 0.02 && (fit.amplitude_rpm[1] - 5.0).abs() < 0.05);
         let simulated = Simulated::constant(34.8, 0.0, 4.0);
-        let svg = figure("Speed", &motion, Some(&simulated)).unwrap().svg().unwrap();
+        let svg = figure("Speed", &motion, Drive::default(), Some(&simulated)).unwrap().svg().unwrap();
         assert!(svg.contains("overshoots to 5"), "{svg}");
         assert!(svg.contains("trend \u{2212}1.00 rpm/s"));
         assert!(svg.contains("varies most twice a turn, by \u{b1}5.0 rpm (15 %)"));
-        let lacks = lacking(&findings(&motion), &findings(&simulated.motion()));
+        let course = |motion: &Motion| Course::of(motion, Drive::default());
+        let lacks = lacking(&course(&motion), &course(&simulated.motion()));
         assert!(lacks[0].starts_with("a start that overshoots by 6") && lacks.len() == 3, "{lacks:?}");
         assert_eq!(lacks[1..], ["\u{b1}5.0 rpm (15 %) twice a turn", "a drift of \u{2212}1.00 rpm/s"]);
         assert!(svg.contains(&format!("The simulation lacks: {}", lacks.join("; "))), "{svg}");
-        assert_eq!(lacking(&findings(&motion), &findings(&motion)), Vec::<String>::new());
+        assert_eq!(lacking(&course(&motion), &course(&motion)), Vec::<String>::new());
     }
 
     #[test]
@@ -340,7 +313,7 @@ mod tests {
             motion.time_us.truncate(keep);
             motion.position_rad.truncate(keep);
             motion.speed_rpm.truncate(keep);
-            figure("Speed", &motion, None).unwrap().svg().unwrap();
+            figure("Speed", &motion, Drive::default(), None).unwrap().svg().unwrap();
         }
     }
 }

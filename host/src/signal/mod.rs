@@ -2,10 +2,11 @@
 //!
 //! [`edges`] turns samples or timestamps into crossings of known angles and the interval each crossing is known to lie
 //! in. [`smoother`] is the estimator to use: it takes those intervals as they are, adapts to how fast the speed changes
-//! and says how sure it is. [`thesis`] is the thesis's method, kept to reproduce its figures; [`window`] is one fixed
+//! and says how sure it is. [`course`] reads a run's figures off a motion, [`tracking`] a closed loop's off its ticks. [`thesis`] is the thesis's method, kept to reproduce its figures; [`window`] is one fixed
 //! window, the yardstick for both. [`spectrum`] and [`turn`] show what repeats in time and in angle. `docs/signals.md`
 //! compares the estimators.
 
+pub mod course;
 pub mod edges;
 pub mod filters;
 pub mod run;
@@ -14,6 +15,7 @@ pub mod smoother;
 pub mod spectrum;
 pub mod spline;
 pub mod thesis;
+pub mod tracking;
 pub mod trial;
 pub mod turn;
 pub mod window;

@@ -4,6 +4,9 @@ use super::flash::Flash;
 use super::motor::{FirstOrderMotor, SimulatedMotor};
 use super::silicon::{Chip, Half, PadEdge, Silicon};
 use super::wire::{Uart, Wire};
+use crate::model::effects::EffectSet;
+use crate::model::plant::Segment;
+use crate::model::sensor::Encoder;
 use embassy_futures::block_on;
 use embassy_futures::join::join5;
 use embedded_hal::digital::{ErrorType as PinErrorType, InputPin};
@@ -46,10 +49,14 @@ pub struct Setup {
     /// The rotor's angle within an encoder pitch at the start, as a fraction of the pitch in [0, 2): at 1 and above the
     /// encoder line starts high.
     pub start_pitch: f64,
+    /// What the board says it simulates: see [`super::Simulated`].
+    pub simulates: String,
     /// Whose modules drive the pins.
     pub chip: Chip,
     /// The motor.
     pub motor: Box<dyn SimulatedMotor>,
+    /// The encoder's own faults, if it has any.
+    pub encoder_effects: EffectSet,
     /// How well the driver board is.
     pub driver: DriverHealth,
     /// Why the board starts.
@@ -65,8 +72,10 @@ impl Default for Setup {
         Self {
             edges_per_rev: 400,
             start_pitch: 0.3,
+            simulates: "simulated simple".to_owned(),
             chip: Chip::default(),
             motor: Box::new(FirstOrderMotor::default()),
+            encoder_effects: EffectSet::default(),
             driver: DriverHealth::Well,
             reset: ResetCause::PowerOn,
             start_us: 0,
@@ -179,6 +188,14 @@ impl Watchdog for Feeder {
     }
 }
 
+/// As much of a text as the field holds.
+fn shortened<const N: usize>(text: &str) -> heapless::String<N> {
+    let mut out = heapless::String::new();
+    // What no longer fits is left out.
+    let _ = text.chars().try_for_each(|c| out.push(c));
+    out
+}
+
 type Tasks = Pin<Box<dyn Future<Output = ()>>>;
 
 /// The firmware's part of a board, from one boot to the next.
@@ -202,7 +219,7 @@ impl Firmware {
         pin: EncoderPin,
         fed: Rc<Cell<u64>>,
         flash: Flash,
-        reset: ResetCause,
+        about: About,
     ) -> Self {
         // A chip keeps these in static memory; a simulated boot leaks them (30 KB), which keeps every lifetime the chip's.
         let flags: &'static Flags = Box::leak(Box::new(Flags::new()));
@@ -212,12 +229,7 @@ impl Firmware {
         let shared: &'static Shared = Box::leak(Box::new(Shared::new()));
         let queues: &'static mut Queues = Box::leak(Box::new(Queues::new()));
         let (control_ends, edges, transmit_ends) = queues.split();
-        let about = About {
-            firmware: heapless::String::try_from(env!("CARGO_PKG_VERSION")).unwrap_or_default(),
-            chip: heapless::String::try_from("simulated").unwrap_or_default(),
-            reset,
-        };
-        let mut control = Control::new(shared, control_ends, output, reset);
+        let mut control = Control::new(shared, control_ends, output, about.reset);
         let mut store = Store::new(flash, Flash::RANGE).expect("the range is whole pages");
         if let Some(configuration) = block_on(store.load()) {
             // As on a chip: one that no longer validates leaves the board unconfigured.
@@ -271,8 +283,8 @@ pub struct Board {
     driver_tx: Wire,
     driver: DriverBoard,
     motor: Box<dyn SimulatedMotor>,
-    edges_per_rev: f64,
-    start_pitch: f64,
+    encoder: Encoder,
+    simulates: String,
     angle_rad: f64,
     jitter: u64,
     late_us: u64,
@@ -290,15 +302,19 @@ impl Board {
     pub fn new(setup: Setup) -> Self {
         clock::reset(setup.start_us);
         let silicon = Silicon::new(setup.chip, setup.start_us);
-        let encoder_level = Rc::new(Cell::new(setup.start_pitch.rem_euclid(2.0) >= 1.0));
+        let mut motor = setup.motor;
+        let angle_rad = motor.advance(0.0, false, Direction::Cw);
+        let pitch_rad = std::f64::consts::TAU / f64::from(setup.edges_per_rev);
+        let mut encoder = Encoder::new(setup.edges_per_rev, setup.start_pitch * pitch_rad, &setup.encoder_effects);
+        let there = Segment { end_rad: angle_rad, ..Segment::default() };
+        encoder.watch(&there, &mut |_| {});
+        let encoder_level = Rc::new(Cell::new(encoder.level()));
         let fed_us = Rc::new(Cell::new(setup.start_us));
         let (to_board, from_board) = (Wire::new(LINK_BAUD), Wire::new(LINK_BAUD));
         let (driver_rx, driver_tx) = (Wire::new(DRIVER_BAUD), Wire::new(DRIVER_BAUD));
         let wires = [&to_board, &from_board, &driver_rx, &driver_tx].map(Clone::clone);
         let flash = Flash::erased();
-        let firmware = boot(&silicon, &encoder_level, &fed_us, &flash, &wires, setup.reset);
-        let mut motor = setup.motor;
-        let angle_rad = motor.advance(0.0, false, Direction::Cw);
+        let firmware = boot(&silicon, &encoder_level, &fed_us, &flash, &wires, &setup.simulates, setup.reset);
         Self {
             firmware,
             chip: setup.chip,
@@ -312,8 +328,8 @@ impl Board {
             driver_tx,
             driver: DriverBoard::new(setup.driver),
             motor,
-            edges_per_rev: f64::from(setup.edges_per_rev),
-            start_pitch: setup.start_pitch,
+            encoder,
+            simulates: setup.simulates,
             angle_rad,
             jitter: setup.jitter_seed,
             late_us: 0,
@@ -468,28 +484,25 @@ impl Board {
         let now_us = clock::now_us();
         let direction = self.silicon.direction();
         let drive_on = self.driver.hardware && !self.silicon.pwm_level();
-        let before = self.angle_rad;
+        let (duty, period_s) = self.silicon.pwm();
+        self.motor.pwm(duty, period_s);
         let after = self.motor.advance((next_us - now_us) as f64 * 1e-6, drive_on, direction);
-        self.encode(before, after, now_us, next_us, direction);
+        self.encode(after, now_us, next_us, direction);
     }
 
-    /// The encoder's edges between two angles, with their times interpolated.
-    fn encode(&mut self, before: f64, after: f64, from_us: u64, to_us: u64, direction: Direction) {
+    /// The encoder's edges on the way to an angle, with their times interpolated.
+    fn encode(&mut self, after: f64, from_us: u64, to_us: u64, direction: Direction) {
+        let (start_rad, end_s) = (self.angle_rad, (to_us - from_us) as f64 * 1e-6);
+        let speed = if end_s > 0.0 { (after - start_rad) / end_s } else { 0.0 };
         self.angle_rad = after;
-        let pitches = |angle: f64| angle / std::f64::consts::TAU * self.edges_per_rev + self.start_pitch;
-        let (first, last) = (pitches(before), pitches(after));
-        let (from, to) = (first.floor() as i64, last.floor() as i64);
-        let crossed: Vec<i64> = if to > from { (from + 1..=to).collect() } else { (to + 1..=from).rev().collect() };
-        for boundary in crossed {
-            let share = ((boundary as f64 - first) / (last - first)).clamp(0.0, 1.0);
-            let time_us = from_us + (share * (to_us - from_us) as f64) as u64;
-            let above = if to > from { boundary } else { boundary - 1 };
-            let level = above.rem_euclid(2) == 1;
-            if !self.encoder_dead {
-                self.encoder_level.set(level);
-                self.firmware.interrupt.edge(level, direction, time_us as u32);
+        let way = Segment { start_s: 0.0, end_s, start_rad, end_rad: after, start_rad_s: speed, end_rad_s: speed };
+        let (interrupt, level, dead) = (&mut self.firmware.interrupt, &self.encoder_level, self.encoder_dead);
+        self.encoder.watch(&way, &mut |edge| {
+            if !dead {
+                level.set(edge.level);
+                interrupt.edge(edge.level, direction, (from_us + (edge.time_s * 1e6) as u64) as u32);
             }
-        }
+        });
     }
 
     fn turn_driver(&mut self, now_us: u64) {
@@ -498,7 +511,7 @@ impl Board {
         if nudge_rad != 0.0 {
             self.motor.nudge(nudge_rad);
             let after = self.motor.advance(0.0, false, Direction::Cw);
-            self.encode(self.angle_rad, after, now_us, now_us, Direction::Cw);
+            self.encode(after, now_us, now_us, Direction::Cw);
         }
     }
 
@@ -577,7 +590,8 @@ impl Board {
         self.fed_us.set(clock::now_us());
         self.silicon.reset(self.chip, matches!(reset, ResetCause::Software | ResetCause::Panic));
         let wires = [&self.to_board, &self.from_board, &self.driver_rx, &self.driver_tx].map(Clone::clone);
-        self.firmware = boot(&self.silicon, &self.encoder_level, &self.fed_us, &self.flash, &wires, reset);
+        self.firmware =
+            boot(&self.silicon, &self.encoder_level, &self.fed_us, &self.flash, &wires, &self.simulates, reset);
     }
 }
 
@@ -587,9 +601,16 @@ fn boot(
     fed_us: &Rc<Cell<u64>>,
     flash: &Flash,
     [to_board, from_board, driver_rx, driver_tx]: &[Wire; 4],
+    simulates: &str,
     reset: ResetCause,
 ) -> Firmware {
     let uart = Uart { rx: to_board.clone(), tx: from_board.clone() };
     let driver_uart = Uart { rx: driver_rx.clone(), tx: driver_tx.clone() };
-    Firmware::boot(silicon, uart, driver_uart, EncoderPin(level.clone()), fed_us.clone(), flash.clone(), reset)
+    let pin = EncoderPin(level.clone());
+    let about = About {
+        firmware: heapless::String::try_from(env!("CARGO_PKG_VERSION")).unwrap_or_default(),
+        chip: shortened(simulates),
+        reset,
+    };
+    Firmware::boot(silicon, uart, driver_uart, pin, fed_us.clone(), flash.clone(), about)
 }

@@ -7,11 +7,13 @@ mod board;
 pub mod clock;
 mod driver_board;
 mod flash;
+mod hybrid;
 mod motor;
 mod silicon;
 mod wire;
 
 pub use board::{Board, Disturbance, Setup};
 pub use driver_board::DriverHealth;
-pub use motor::{FirstOrderMotor, PlantMotor, SimulatedMotor};
+pub use hybrid::{HybridMotor, NotOnABoard, Simulated};
+pub use motor::{FirstOrderMotor, SimulatedMotor};
 pub use silicon::{Chip, Half, PadEdge};

@@ -1,12 +1,14 @@
 //! The seam to a motor, and the simple motor the board has when no other is given.
 
-use crate::model::plant::{Drive, Plant};
 use twum_shared::Direction;
 
 /// A motor with its rotor, as the simulated board drives it: the wave on or off, one direction.
 pub trait SimulatedMotor {
     /// Moves on by `dt_s` (at most 50 µs) under constant drive and gives the rotor's angle, rad, positive clockwise.
     fn advance(&mut self, dt_s: f64, drive_on: bool, direction: Direction) -> f64;
+
+    /// The duty and the period (s) of the PWM, told before the motor moves on.
+    fn pwm(&mut self, _duty: f64, _period_s: f64) {}
 
     /// The driver board moves the rotor by so much, rad: a microstep in its text mode.
     fn nudge(&mut self, angle_rad: f64);
@@ -74,33 +76,6 @@ impl SimulatedMotor for FirstOrderMotor {
         if !self.stuck {
             self.angle_rad += angle_rad;
         }
-    }
-}
-
-/// A motor model behind the board's seam.
-#[derive(Clone, Debug)]
-pub struct PlantMotor<P> {
-    plant: P,
-    nudged_rad: f64,
-}
-
-impl<P: Plant> PlantMotor<P> {
-    /// Puts a plant at rest on the board.
-    pub fn new(plant: P) -> Self {
-        Self { plant, nudged_rad: 0.0 }
-    }
-}
-
-impl<P: Plant> SimulatedMotor for PlantMotor<P> {
-    fn advance(&mut self, dt_s: f64, drive_on: bool, direction: Direction) -> f64 {
-        let level = f64::from(u8::from(drive_on));
-        let until_s = self.plant.time_s() + dt_s;
-        self.plant.advance(until_s, Drive { level, direction, duty: level }, &mut |_| {});
-        self.plant.position_rad() + self.nudged_rad
-    }
-
-    fn nudge(&mut self, angle_rad: f64) {
-        self.nudged_rad += angle_rad;
     }
 }
 

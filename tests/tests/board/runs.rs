@@ -183,13 +183,10 @@ fn commands_out_of_place_are_refused_with_their_reason() {
 fn the_motor_model_runs_on_the_board() {
     use twum_host::model::effects::EffectSet;
     use twum_host::model::motor::Motor;
-    use twum_host::model::motor_plant::{History, MotorPlant, Solver};
     use twum_host::model::parameters::Flavour;
-    use twum_host::sim::PlantMotor;
-    let flavour = Flavour::Physical;
-    let parameters = Motor::pcbmotor_30mm().parameters(flavour);
-    let plant = MotorPlant::new(parameters, flavour, Solver::Averaged, &EffectSet::default(), History::default());
-    let mut bench = Bench::new(Setup { motor: Box::new(PlantMotor::new(plant)), ..Setup::default() });
+    let setup = Setup::hybrid(&Motor::pcbmotor_30mm(), Flavour::Measured, &EffectSet::default()).unwrap();
+    let mut bench = Bench::new(setup);
+    assert_eq!(bench.session.hello().unwrap().chip, "simulated pcbmotor-30mm measured");
     bench.session.configure(default_configuration()).unwrap();
     bench.session.align().unwrap();
     bench.session.arm().unwrap();

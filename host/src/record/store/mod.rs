@@ -6,9 +6,11 @@
 //! can cost more: what the operating system had not yet written out (it is asked to every second).
 //!
 //! Channels: [`TOPIC_DEVICE`] and [`TOPIC_HOST`] carry frames as they were on the line, their separator included;
-//! [`TOPIC_RECORDER`] carries what the recorder has to say, as JSON (`{"event": "..."}`). A message's log time is the
+//! [`TOPIC_MOTION`] carries what the board's frames say of the motion, decoded, as JSON with a schema: Foxglove and PlotJuggler plot
+//! it without an export. [`TOPIC_RECORDER`] carries what the recorder has to say, as JSON (`{"event": "..."}`). A message's log time is the
 //! host's time of arrival or sending; its sequence counts the records of the file, so a hole in the file shows.
 
+mod decoded;
 mod reader;
 mod sink;
 mod writer;
@@ -26,6 +28,8 @@ pub const TOPIC_DEVICE: &str = "/twum/raw/device";
 pub const TOPIC_HOST: &str = "/twum/raw/host";
 /// Topic of the recorder's own remarks.
 pub const TOPIC_RECORDER: &str = "/twum/recorder";
+/// Topic of the decoded motion.
+pub const TOPIC_MOTION: &str = "/twum/motion";
 /// Start of a recording made in virtual time, ns since the Unix epoch (2000-01-01): equal seeds give equal bytes.
 pub const VIRTUAL_EPOCH_NS: u64 = 946_684_800_000_000_000;
 

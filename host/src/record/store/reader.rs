@@ -1,4 +1,4 @@
-use super::writer::{CHANNEL_DEVICE, CHANNEL_HOST, CHANNEL_RECORDER};
+use super::writer::{CHANNEL_DEVICE, CHANNEL_HOST, CHANNEL_MOTION, CHANNEL_RECORDER};
 use super::{MAX_RECORD, METADATA_NAME, Metadata, Sender, StoreError};
 use crate::input;
 use mcap::McapError;
@@ -104,6 +104,8 @@ pub struct Reader<S = File> {
 enum Channel {
     Frames(Sender),
     Remarks,
+    /// Decoded from the frames, for other programs.
+    Motion,
 }
 
 impl Channel {
@@ -113,6 +115,7 @@ impl Channel {
             CHANNEL_DEVICE => Some(Self::Frames(Sender::Device)),
             CHANNEL_HOST => Some(Self::Frames(Sender::Host)),
             CHANNEL_RECORDER => Some(Self::Remarks),
+            CHANNEL_MOTION => Some(Self::Motion),
             _ => None,
         }
     }
@@ -219,6 +222,7 @@ impl<S: Read + Seek> Reader<S> {
                             host_time_ns,
                             json: std::str::from_utf8(&self.current[MESSAGE_HEAD..]).unwrap_or_default(),
                         },
+                        Channel::Motion => continue,
                     };
                     return Ok(Some(entry));
                 }
@@ -428,6 +432,6 @@ fn message(data: &[u8]) -> Option<(Channel, MessageHeader)> {
     let Ok(Record::Message { header, data }) = mcap::parse_record(op::MESSAGE, data) else { return None };
     let channel = Channel::of(header.channel_id)?;
     let (_, before_last) = data.split_last()?;
-    let one_frame = channel == Channel::Remarks || !before_last.contains(&0);
+    let one_frame = !matches!(channel, Channel::Frames(_)) || !before_last.contains(&0);
     (header.log_time == header.publish_time && one_frame).then_some((channel, header))
 }

@@ -1,6 +1,8 @@
+use super::decoded::{MOTION_SCHEMA, Motion};
 use super::sink::Sink;
 use super::{
-    LAYOUT, MAX_RECORD, METADATA_NAME, Metadata, Sender, StoreError, TOPIC_DEVICE, TOPIC_HOST, TOPIC_RECORDER,
+    LAYOUT, MAX_RECORD, METADATA_NAME, Metadata, Sender, StoreError, TOPIC_DEVICE, TOPIC_HOST, TOPIC_MOTION,
+    TOPIC_RECORDER,
 };
 use mcap::McapError;
 use mcap::records::MessageHeader;
@@ -16,6 +18,7 @@ use std::time::Duration;
 pub(super) const CHANNEL_DEVICE: u16 = 1;
 pub(super) const CHANNEL_HOST: u16 = 2;
 pub(super) const CHANNEL_RECORDER: u16 = 3;
+pub(super) const CHANNEL_MOTION: u16 = 4;
 
 const RECORDER_SCHEMA: &[u8] = br#"{"type":"object","properties":{"event":{"type":"string"}},"required":["event"]}"#;
 
@@ -27,6 +30,7 @@ pub struct Writer {
     start_ns: u64,
     records: u32,
     frames: u64,
+    motion: Motion,
     /// Dropped to end the thread that asks for the data to reach the disk.
     syncing: Option<mpsc::Sender<()>>,
 }
@@ -74,11 +78,13 @@ impl Writer {
                 name: METADATA_NAME.to_owned(),
                 metadata: metadata.to_map(),
             })?;
+            let motion = writer.add_schema("twum.Motion", "jsonschema", MOTION_SCHEMA.as_bytes())?;
             let event = writer.add_schema("twum.RecorderEvent", "jsonschema", RECORDER_SCHEMA)?;
             for (expected, schema, topic, encoding) in [
                 (CHANNEL_DEVICE, 0, TOPIC_DEVICE, "twum-frame"),
                 (CHANNEL_HOST, 0, TOPIC_HOST, "twum-frame"),
                 (CHANNEL_RECORDER, event, TOPIC_RECORDER, "json"),
+                (CHANNEL_MOTION, motion, TOPIC_MOTION, "json"),
             ] {
                 let id = writer.add_channel(schema, topic, encoding, &none)?;
                 debug_assert_eq!(id, expected);
@@ -93,6 +99,7 @@ impl Writer {
             start_ns: metadata.start_ns,
             records: 0,
             frames: 0,
+            motion: Motion::default(),
             syncing,
         })
     }
@@ -113,6 +120,10 @@ impl Writer {
                 self.append(channel, host_time_ns, piece)?;
             }
             self.frames += 1;
+            if let Some(json) = (sender == Sender::Device).then(|| self.motion.of(frame)).flatten() {
+                // Not worth a call of its own to the system: it goes out with the next frame.
+                self.write(CHANNEL_MOTION, host_time_ns, json.as_bytes(), false)?;
+            }
         }
         Ok(())
     }
@@ -128,12 +139,19 @@ impl Writer {
     }
 
     fn append(&mut self, channel_id: u16, host_time_ns: u64, bytes: &[u8]) -> Result<(), StoreError> {
+        self.write(channel_id, host_time_ns, bytes, true)
+    }
+
+    fn write(&mut self, channel_id: u16, host_time_ns: u64, bytes: &[u8], through: bool) -> Result<(), StoreError> {
         let time = self.start_ns.saturating_add(host_time_ns);
         let header = MessageHeader { channel_id, sequence: self.records, log_time: time, publish_time: time };
         let Some(container) = &mut self.container else {
             return Err(self.stopped(io::Error::other("an earlier write failed")));
         };
-        let written = container.0.write_to_known_channel(&header, bytes).and_then(|()| container.0.flush());
+        let written = container
+            .0
+            .write_to_known_channel(&header, bytes)
+            .and_then(|()| if through { container.0.flush() } else { Ok(()) });
         if let Err(error) = written {
             self.abandon();
             return Err(self.stopped(to_io(error)));

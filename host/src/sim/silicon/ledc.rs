@@ -2,7 +2,7 @@
 //! clock. Sections are named, not numbered: their numbers differ between editions.
 
 use super::Chip;
-use twum_firmware::stage::{OFF, PERIOD, divider};
+use twum_firmware::stage::{OFF, PERIOD, PWM_CLOCK_HZ, divider};
 
 /// The unit.
 #[derive(Clone, Debug)]
@@ -59,6 +59,12 @@ impl Ledc {
     /// The unit's output.
     pub fn output(&self, now: u64) -> bool {
         now < self.falls_at()
+    }
+
+    /// The fraction of the running period in which the output is low, and the period's length (s).
+    pub fn running(&self) -> (f64, f64) {
+        let low = PERIOD - self.duty.min(PERIOD);
+        (f64::from(low) / f64::from(PERIOD), self.cycles(PERIOD) as f64 / f64::from(PWM_CLOCK_HZ))
     }
 
     /// When the output or the counter next does something, after `now`.

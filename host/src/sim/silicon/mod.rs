@@ -176,6 +176,11 @@ impl Silicon {
         self.0.borrow().pwm_level()
     }
 
+    /// The fraction of the running period that the unit keeps the wire low for, the drive's duty, and the period's length (s).
+    pub fn pwm(&self) -> (f64, f64) {
+        self.0.borrow().ledc.running()
+    }
+
     /// Whether the PWM wire's driver is on.
     pub fn is_driven(&self) -> bool {
         let state = self.0.borrow();

@@ -1,0 +1,79 @@
+//! Which motor is on the bench, or which one to simulate.
+
+use super::defaults;
+use anyhow::{Result, bail};
+use std::path::PathBuf;
+use twum_host::model::motor::Motor;
+use twum_host::model::parameters::Flavour;
+use twum_host::sim::{Setup, Simulated};
+
+const DEFAULT_MOTOR: &str = "pcbmotor-30mm";
+/// A motor of one time constant, for tests of the link and the loop.
+const SIMPLE: &str = "simple";
+
+/// Which motor is there, or which one to simulate.
+#[derive(Debug, clap::Args)]
+pub struct MotorArgs {
+    /// Motor on the bench, a shipped one or a motor file: its content is kept in the recording. With `--port sim` the one
+    /// simulated [default: the one the board simulates, or pcbmotor-30mm]
+    #[arg(long, value_name = "NAME|FILE")]
+    motor: Option<String>,
+    /// Flavour of a simulated motor [default: physical]
+    #[arg(long, value_enum)]
+    flavour: Option<Flavour>,
+    /// Effects to hide in a simulated motor: a file of [effects.NAME] tables, as in a motor file
+    #[arg(long, value_name = "FILE")]
+    effects: Option<PathBuf>,
+}
+
+impl MotorArgs {
+    /// The board to simulate.
+    pub fn simulated(&self) -> Result<Setup> {
+        let hidden = self.effects.as_deref().map(Motor::effects_of_file).transpose()?.unwrap_or_default();
+        let name = self.asked()?.unwrap_or_else(|| DEFAULT_MOTOR.to_owned());
+        if name == SIMPLE {
+            if self.flavour.is_some() || self.effects.is_some() {
+                bail!("the motor `{SIMPLE}` has neither flavours nor effects");
+            }
+            return Ok(Setup::simple());
+        }
+        Ok(Setup::hybrid(&Motor::load(&name)?, self.flavour.unwrap_or_default(), &hidden)?)
+    }
+
+    /// Refuses what only a simulated motor can have.
+    pub fn is_of_a_real_board(&self) -> Result<()> {
+        if self.flavour.is_some() || self.effects.is_some() {
+            bail!("--flavour and --effects are of a simulated motor: give them to `twum sim`, or with --port sim");
+        }
+        Ok(())
+    }
+
+    /// The motor of the command line, or else of the user's own defaults.
+    fn asked(&self) -> Result<Option<String>> {
+        Ok(self.motor.clone().or(defaults::load()?.motor))
+    }
+
+    /// What the recording keeps of the motor: the one asked for, which a simulated board must not contradict. `chip` is what
+    /// the board says of itself.
+    pub fn kept(&self, chip: &str) -> Result<String> {
+        let simulated = Simulated::parse(chip);
+        let Some(asked) = &self.asked()? else {
+            let name = simulated.map_or_else(|| DEFAULT_MOTOR.to_owned(), |it| it.motor);
+            if name != SIMPLE && Motor::shipped(&name).is_err() {
+                bail!(
+                    "the board simulates `{name}`, which is no shipped motor: give its file with --motor, for the recording"
+                );
+            }
+            return Ok(name);
+        };
+        let name = if asked == SIMPLE { SIMPLE.to_owned() } else { Motor::load(asked)?.name };
+        match simulated {
+            Some(it) if it.motor != name => {
+                bail!("--motor {asked}: the board simulates `{}`; leave --motor out, or name that one", it.motor)
+            }
+            None if name == SIMPLE => bail!("--motor {SIMPLE} is a simulated motor, and this board is a real one"),
+            _ if name == SIMPLE => Ok(name),
+            _ => Ok(Motor::kept(asked)?),
+        }
+    }
+}
