@@ -47,16 +47,7 @@ pub fn encode<'a>(sequence: u32, message: &DeviceMessage, out: &'a mut [u8; MAX_
 
 /// A block of control samples, built from what the ticks saw and decided.
 pub fn control_block(first_tick: u64, state: State, ticks: &[(Inputs, Outputs)]) -> DeviceMessage {
-    let sample = |(inputs, outputs): &(Inputs, Outputs)| ControlSample {
-        target: inputs.target,
-        target_rate: inputs.target_rate,
-        position: inputs.position,
-        u: outputs.u,
-        on_steps: outputs.on_steps,
-        direction: outputs.direction,
-        late_us: 3,
-        duration_us: 7,
-    };
+    let sample = |&(inputs, outputs): &(Inputs, Outputs)| ControlSample::new(inputs, outputs, 3, 7);
     DeviceMessage::Control(ControlBlock {
         first_tick,
         first_us: 500 * first_tick,

@@ -10,60 +10,36 @@ use heapless::String;
 use portable_atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use twum_shared::Fault;
 use twum_shared::alignment::Failure;
-use twum_shared::message::{
-    CaptureMode, Configuration, FaultReport, Losses, Mode, Pass, Refusal, RunEnd, SpeedRun, Status, TrackRun,
-};
+use twum_shared::message::{Configuration, FaultReport, HostMessage, Losses, Mode, Pass, Refusal, RunEnd, Status};
 
 /// What the control interrupt is told.
 #[derive(Clone, Debug)]
 pub enum Command {
-    /// A host's command and the sequence of its frame.
-    Host(u32, Request),
+    /// A host's command. Stopping is none of them: it has a slot of its own, `Shared::ask_stop`.
+    Host {
+        /// Sequence of its frame.
+        of: u32,
+        /// When it was heard, device time, µs.
+        heard_us: u64,
+        /// The command.
+        message: HostMessage,
+    },
     /// The alignment routine of this errand ended.
     AlignEnded(u32, Result<(), Failure>),
     /// The driver's text command of this errand ended.
     PassthroughEnded(u32),
 }
 
-/// Host commands the control interrupt decides on. Stopping is none of them: it has a slot of its own, `Shared::ask_stop`.
-#[derive(Clone, Debug)]
-pub enum Request {
-    /// Say who and how the device is.
-    Identify,
-    /// Give a pass.
-    GivePass(Asked),
-    /// Set the configuration.
-    Configure(Configuration),
-    /// Align.
-    Align(Pass),
-    /// Allow a session's runs, and give it a pass.
-    Arm(Asked),
-    /// Run at constant duty.
-    Speed(Pass, SpeedRun),
-    /// Track a reference.
-    Track(Pass, TrackRun),
-    /// Choose the capture streams.
-    Capture(CaptureMode),
-    /// Pass a line to the driver board.
-    Driver(Pass, String<64>),
-    /// Restart the device.
-    Reboot,
-}
-
-impl Request {
-    /// Whether it sets the motor in motion, or leads there.
-    const fn may_move(&self) -> bool {
-        matches!(self, Self::Align(_) | Self::Arm(_) | Self::Speed(..) | Self::Track(..) | Self::Driver(..))
-    }
-}
-
-/// Who asked for a pass, and when: the µs at which a frame arrives do not repeat, and so neither does the pass.
-#[derive(Clone, Copy, Debug)]
-pub struct Asked {
-    /// The session.
-    pub token: u32,
-    /// Device time, µs.
-    pub heard_us: u64,
+/// Whether a command sets the motor in motion, or leads there.
+const fn may_move(message: &HostMessage) -> bool {
+    matches!(
+        message,
+        HostMessage::Align(_)
+            | HostMessage::Arm { .. }
+            | HostMessage::Speed { .. }
+            | HostMessage::Track { .. }
+            | HostMessage::Driver { .. }
+    )
 }
 
 /// A stop, as it was asked for.
@@ -214,7 +190,7 @@ impl Shared {
     pub(crate) fn ask_stop(&self, stop: Stop) {
         for _ in 0..self.commands.len() {
             match self.commands.pull() {
-                Some(Command::Host(of, request)) if request.may_move() => {
+                Some(Command::Host { of, message, .. }) if may_move(&message) => {
                     self.tell(Event::Nack(of, Refusal::Overtaken))
                 }
                 // There is room: this one just left.

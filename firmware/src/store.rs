@@ -111,11 +111,11 @@ mod tests {
     use crate::control::Control;
     use crate::output::{Latch, Output, OutputStage};
     use crate::queues::Queues;
-    use crate::shared::{Asked, Command, Event, Request};
+    use crate::shared::{Command, Event};
     use embassy_futures::block_on;
     use embedded_storage_async::nor_flash::{ErrorType, NorFlashError, NorFlashErrorKind, ReadNorFlash};
     use std::vec::Vec;
-    use twum_shared::message::{Refusal, ResetCause};
+    use twum_shared::message::{HostMessage, Refusal, ResetCause};
     use twum_shared::step::ConfigSpec;
     use twum_shared::{Direction, Duty};
 
@@ -257,8 +257,8 @@ mod tests {
         let (ends, _, _) = queues.split();
         static LATCH: Latch = Latch::new();
         let mut control = Control::new(&shared, ends, Output::boot(NoStage, &LATCH), ResetCause::PowerOn);
-        let mut answer = |request| {
-            assert!(shared.commands.push(Command::Host(7, request)).is_ok());
+        let mut answer = |message| {
+            assert!(shared.commands.push(Command::Host { of: 7, heard_us: 0, message }).is_ok());
             control.tick(0, 0, false, || 0);
             core::iter::from_fn(|| shared.events.pull()).find_map(|event| match event {
                 Event::Ack(_) => Some(None),
@@ -266,17 +266,17 @@ mod tests {
                 _ => None,
             })
         };
-        let asked = Asked { token: 1, heard_us: 0 };
+        let arm = HostMessage::Arm { token: 1 };
         shared.will_keep();
-        assert_eq!(answer(Request::Configure(configuration(50))), Some(None));
-        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::Busy)));
+        assert_eq!(answer(HostMessage::Configure(configuration(50))), Some(None));
+        assert_eq!(answer(arm.clone()), Some(Some(Refusal::Busy)));
         assert_eq!(block_on(shared.to_keep()), configuration(50));
-        assert_eq!(answer(Request::Configure(configuration(60))), Some(None));
+        assert_eq!(answer(HostMessage::Configure(configuration(60))), Some(None));
         shared.kept();
-        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::Busy)), "the newer one is still to be kept");
+        assert_eq!(answer(arm.clone()), Some(Some(Refusal::Busy)), "the newer one is still to be kept");
         assert_eq!(block_on(shared.to_keep()), configuration(60));
         shared.kept();
-        assert_eq!(answer(Request::Arm(asked)), Some(Some(Refusal::NotAligned)), "keeping no longer stands in the way");
+        assert_eq!(answer(arm.clone()), Some(Some(Refusal::NotAligned)), "keeping no longer stands in the way");
     }
 
     #[test]

@@ -111,8 +111,8 @@ fn check(path: &Path) -> u64 {
 
 /// As `twum plot` does.
 fn plot(path: &Path) -> u64 {
-    let recording = Recording::load(path).expect("just written");
-    recording_figure(&recording, "hour").expect("has signals").png().expect("a usual size").len() as u64
+    let (figure, _) = recording_figure(path, "hour").expect("has signals");
+    figure.png().expect("a usual size").len() as u64
 }
 
 fn peak_megabytes() -> Option<f64> {

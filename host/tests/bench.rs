@@ -1,84 +1,16 @@
 //! What a person does to a board around the runs, with the `twum` command on a real pseudo-terminal: its configuration, a
 //! restart, a stop from another terminal, a flash.
 
-use std::io::{BufRead, BufReader, Write};
+mod simulator;
+
+use simulator::{Simulator, text};
+use std::io::Write;
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use twum_host::record::store::{Entry, Reader};
-
-struct Simulator {
-    process: Child,
-    port: String,
-    /// The sockets of this test alone.
-    runtime: tempfile::TempDir,
-}
-
-impl Simulator {
-    fn start() -> Self {
-        let runtime = tempfile::tempdir().unwrap();
-        let mut process = Command::new(env!("CARGO_BIN_EXE_twum"))
-            .args(["sim", "--pty"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("twum sim starts");
-        let mut port = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut port).unwrap();
-        Self { process, port: port.trim().to_owned(), runtime }
-    }
-
-    fn twum(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_twum"));
-        command.args(arguments).args(["--port", &self.port]).env("XDG_RUNTIME_DIR", self.runtime.path());
-        command
-    }
-
-    fn run(&self, arguments: &[&str]) -> Output {
-        self.twum(arguments).output().unwrap()
-    }
-
-    /// Standard output of what has to succeed.
-    fn say(&self, arguments: &[&str]) -> String {
-        let output = self.run(arguments);
-        assert!(output.status.success(), "{arguments:?}: {}", text(&output));
-        String::from_utf8(output.stdout).unwrap()
-    }
-
-    /// A run of a minute, once the motor is driven.
-    fn tracking(&self, recording: &Path) -> Child {
-        let mut child = self
-            .twum(&["track", "--seconds", "60", "--out", recording.to_str().unwrap()])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        // Generous: the machine may be busy.
-        let until = Instant::now() + Duration::from_secs(60);
-        // Asked before the run has the port, `info` would have it.
-        while !self.socket().exists() || !text(&self.run(&["info"])).contains("Running") {
-            assert!(Instant::now() < until && child.try_wait().unwrap().is_none(), "the run begins");
-            std::thread::sleep(Duration::from_millis(100));
-        }
-        child
-    }
-
-    fn socket(&self) -> PathBuf {
-        self.runtime.path().join("twum").join(format!("{}.sock", self.port.replace('/', "_")))
-    }
-}
-
-impl Drop for Simulator {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
-fn text(output: &Output) -> String {
-    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
-}
 
 #[test]
 fn the_configuration_is_dumped_loaded_compared_and_outlives_a_restart() {
@@ -147,9 +79,13 @@ fn a_run_is_stopped_from_another_terminal_and_its_recording_closed() {
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("stopped.mcap");
     let child = simulator.tracking(&recording);
+    // Who connects and says nothing is heard out for 200 ms: one after the other, these would hold up a stop for 4 s.
+    let silent: Vec<UnixStream> = (0..20).map(|_| UnixStream::connect(simulator.socket()).unwrap()).collect();
     let asked = Instant::now();
     assert!(simulator.say(&["stop"]).contains("the board acknowledged it"));
-    println!("`twum stop` took {:?}", asked.elapsed());
+    let took = asked.elapsed();
+    assert!(took < Duration::from_secs(2), "{took:?}");
+    drop(silent);
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(4), "{}", text(&output));
     let mut reader = Reader::open(&recording).unwrap();

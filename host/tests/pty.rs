@@ -1,46 +1,14 @@
 //! The `twum` command against a simulated board on a real pseudo-terminal, in real time.
 
-use std::io::{BufRead, BufReader};
+mod simulator;
+
+use simulator::{Simulator, text};
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 
 /// The `twum` of this build.
 fn twum() -> Command {
     Command::new(env!("CARGO_BIN_EXE_twum"))
-}
-
-struct Simulator {
-    process: Child,
-    port: String,
-}
-
-impl Simulator {
-    fn start() -> Self {
-        let mut process = twum()
-            .args(["sim", "--pty"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("twum sim starts");
-        let mut port = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut port).unwrap();
-        Self { process, port: port.trim().to_owned() }
-    }
-
-    fn run(&self, arguments: &[&str]) -> Output {
-        twum().args(arguments).args(["--port", &self.port]).output().unwrap()
-    }
-}
-
-impl Drop for Simulator {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
-
-fn text(output: &Output) -> String {
-    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
 fn track(simulator: &Simulator, recording: &Path) -> Output {

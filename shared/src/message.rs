@@ -5,7 +5,7 @@
 use crate::encoder::{CountSign, Edge};
 use crate::reference::{Reference, ReferenceError};
 use crate::safety::Limits;
-use crate::step::{ConfigError, ConfigSpec, State};
+use crate::step::{ConfigError, ConfigSpec, Inputs, Outputs, State};
 use crate::{Direction, Duty, Fault};
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
@@ -291,6 +291,22 @@ pub struct ControlSample {
     pub late_us: u16,
     /// How long the tick before took, µs.
     pub duration_us: u16,
+}
+
+impl ControlSample {
+    /// What a tick saw and decided.
+    pub fn new(inputs: Inputs, outputs: Outputs, late_us: u16, duration_us: u16) -> Self {
+        Self {
+            target: inputs.target,
+            target_rate: inputs.target_rate,
+            position: inputs.position,
+            u: outputs.u,
+            on_steps: outputs.on_steps,
+            direction: outputs.direction,
+            late_us,
+            duration_us,
+        }
+    }
 }
 
 /// A block of consecutive control ticks. The state at its start lets a replay resume after a gap.

@@ -29,93 +29,92 @@ const fn is_carried(tick: u64, every_block: u32) -> bool {
 
 /// A timed bit capture.
 #[derive(Debug, Default)]
-pub(super) struct Bits {
+struct Bits {
     packer: BitPacker,
     samples: u64,
     word_us: u64,
     next_us: u64,
 }
 
+/// The streams that are captured.
+#[derive(Debug)]
+pub(super) struct Capture {
+    mode: CaptureMode,
+    bits: Bits,
+    /// Of so many blocks of ticks, one is captured.
+    every_block: u32,
+}
+
+impl Default for Capture {
+    fn default() -> Self {
+        Self { mode: CaptureMode::default(), bits: Bits::default(), every_block: 1 }
+    }
+}
+
 impl<S: OutputStage> Control<'_, S> {
     /// Queues a tick for the host, if its block is one of those that the link carries.
     pub(super) fn capture_tick(&mut self, tick: u64, due_us: u64, late_us: u64, (inputs, state, outputs): Step) {
-        if !self.capture.control || (self.every_block > 1 && !is_carried(tick, self.every_block)) {
+        let Capture { mode, every_block, .. } = self.capture;
+        if !mode.control || (every_block > 1 && !is_carried(tick, every_block)) {
             return;
         }
-        let record = TickRecord { tick, due_us, state, sample: self.sample(inputs, outputs, late_us) };
+        let late_us = late_us.min(u64::from(u16::MAX)) as u16;
+        let sample = ControlSample::new(inputs, outputs, late_us, self.timing.previous_duration_us);
+        let record = TickRecord { tick, due_us, state, sample };
         let lost = self.queues.ticks.push(record).is_err();
         if lost {
             self.shared.lose_tick();
         }
-        self.count_loss(lost);
-    }
-
-    fn sample(&self, inputs: Inputs, outputs: Outputs, late_us: u64) -> ControlSample {
-        ControlSample {
-            target: inputs.target,
-            target_rate: inputs.target_rate,
-            position: inputs.position,
-            u: outputs.u,
-            on_steps: outputs.on_steps,
-            direction: outputs.direction,
-            late_us: late_us.min(u64::from(u16::MAX)) as u16,
-            duration_us: self.previous_duration_us,
-        }
-    }
-
-    fn count_loss(&mut self, lost: bool) {
-        if lost {
-            self.lost_in_a_row = self.lost_in_a_row.saturating_add(1);
-        } else {
-            self.lost_in_a_row = 0;
-        }
+        self.lost.count(lost);
     }
 
     pub(super) fn set_capture(&mut self, mode: CaptureMode, now_us: u64) {
-        if mode.bits && !self.capture.bits {
-            self.bits = Bits { next_us: now_us, ..Bits::default() };
+        if mode.bits && !self.capture.mode.bits {
+            self.capture.bits = Bits { next_us: now_us, ..Bits::default() };
         }
-        if self.capture.bits && !mode.bits {
+        if self.capture.mode.bits && !mode.bits {
             self.flush_bits();
         }
         self.shared.encoder.set_streaming(mode.edges);
-        self.capture = mode;
+        self.capture.mode = mode;
         if let Some(configured) = &self.configured {
             self.shared.tell(Event::Configured(configured.message));
-            self.every_block = if mode.control { blocks_that_fit(configured.message.control.period_us) } else { 1 };
-            if self.every_block > 1 {
+            let period_us = configured.message.control.period_us;
+            self.capture.every_block = if mode.control { blocks_that_fit(period_us) } else { 1 };
+            if self.capture.every_block > 1 {
                 self.shared.log(THINNED);
             }
         }
     }
 
     pub(super) fn capture_bit(&mut self, due_us: u64, level: bool) {
-        if !self.capture.bits || due_us < self.bits.next_us {
+        let Capture { mode, bits, .. } = &mut self.capture;
+        if !mode.bits || due_us < bits.next_us {
             return;
         }
-        if self.bits.samples.is_multiple_of(32) {
-            self.bits.word_us = due_us;
+        if bits.samples.is_multiple_of(32) {
+            bits.word_us = due_us;
         }
-        self.bits.next_us += BIT_PERIOD_US;
-        self.bits.samples += 1;
-        if let Some(word) = self.bits.packer.push(level) {
+        bits.next_us += BIT_PERIOD_US;
+        bits.samples += 1;
+        if let Some(word) = bits.packer.push(level) {
             self.send_word(word, 32);
         }
     }
 
     fn flush_bits(&mut self) {
-        if let Some((word, samples)) = self.bits.packer.flush() {
+        if let Some((word, samples)) = self.capture.bits.packer.flush() {
             self.send_word(word, samples);
         }
     }
 
     fn send_word(&mut self, word: u32, samples: u8) {
-        let first_sample = self.bits.samples - u64::from(samples);
-        let record = WordRecord { first_sample, first_us: self.bits.word_us, samples, word };
+        let first_sample = self.capture.bits.samples - u64::from(samples);
+        let record = WordRecord { first_sample, first_us: self.capture.bits.word_us, samples, word };
         let lost = self.queues.words.push(record).is_err();
         if lost {
             self.shared.lose_word();
         }
-        self.count_loss(lost);
+        self.lost.count(lost);
     }
 }

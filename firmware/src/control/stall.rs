@@ -5,9 +5,9 @@
 //! - **No edge.** The identified motor's speed is proportional to the duty, so the drive since the last edge is an angle. Past
 //!   the budget of [`Limits`](twum_shared::safety::Limits) it is a stall: a quarter of a second of full drive by default, 52°.
 //! - **Too few edges.** One edge now and then hides nothing. A quarter of the identified motor's speed counts as the slowest
-//!   that it turns at, and below a fifth of the duty, where a motor that starts anew with every PWM period falls short of that,
-//!   half of such a motor's: 5/4 of the duty's square. What this makes of an eighth of the budget has to come as edges; above
-//!   50 Hz, where each period is little more than a start, of in proportion more.
+//!   that it turns at, and below a seventh of the duty, where a motor that starts slowly anew with every PWM period falls short
+//!   of that, 7/4 of the duty's square, three quarters of such a motor's. What this makes of an eighth of the budget has to come
+//!   as edges; above 50 Hz, where each period is little more than a start, of in proportion more.
 
 use twum_shared::Duty;
 use twum_shared::message::Configuration;
@@ -65,7 +65,7 @@ impl Stall {
 
 /// The slowest speed of a motor under this duty, 1/32768ths of full speed. A duty is at most 2^15, so its square fits.
 const fn slowest(duty: u32) -> u32 {
-    let (square, linear) = (((duty * duty) >> 17) * 5, duty >> 2);
+    let (square, linear) = (((duty * duty) >> 17) * 7, duty >> 2);
     if square < linear { square } else { linear }
 }
 

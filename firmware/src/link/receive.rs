@@ -1,4 +1,4 @@
-use crate::shared::{Asked, Command, Event, Request, Shared, Stop};
+use crate::shared::{Command, Event, Shared, Stop};
 use embassy_time::{Duration, Instant, Timer};
 use embedded_io_async::Read;
 use twum_shared::Fault;
@@ -34,7 +34,7 @@ fn refuse(shared: &Shared, error: FrameError) {
     shared.bad_frame();
     if let FrameError::Version(_) = error {
         // The host learns our version from the answer's header.
-        command(shared, 0, Request::Identify);
+        command(shared, 0, HostMessage::Hello);
     }
 }
 
@@ -56,32 +56,21 @@ impl Heard {
 }
 
 fn take(shared: &Shared, heard: &mut Heard, sequence: u32, message: HostMessage) {
-    let asked = |token| Asked { token, heard_us: Instant::now().as_micros() };
-    let request = match message {
-        HostMessage::Hello => Request::Identify,
+    match message {
         HostMessage::Keepalive { token } => {
             if heard.is_alive(shared.holder(), token, sequence) {
                 shared.host_spoke();
             }
-            return;
         }
-        HostMessage::Stop { clear_fault } => return shared.ask_stop(Stop { of: sequence, clear_fault }),
-        HostMessage::AskPass { token } => Request::GivePass(asked(token)),
-        HostMessage::Configure(configuration) => Request::Configure(configuration),
-        HostMessage::Align(pass) => Request::Align(pass),
-        HostMessage::Arm { token } => Request::Arm(asked(token)),
-        HostMessage::Speed { pass, run } => Request::Speed(pass, run),
-        HostMessage::Track { pass, run } => Request::Track(pass, run),
-        HostMessage::Capture(mode) => Request::Capture(mode),
-        HostMessage::Driver { pass, line } => Request::Driver(pass, line),
-        HostMessage::Reboot => Request::Reboot,
-    };
-    command(shared, sequence, request);
+        HostMessage::Stop { clear_fault } => shared.ask_stop(Stop { of: sequence, clear_fault }),
+        other => command(shared, sequence, other),
+    }
 }
 
-fn command(shared: &Shared, sequence: u32, request: Request) {
-    if shared.commands.push(Command::Host(sequence, request)).is_err() {
-        shared.tell(Event::Nack(sequence, Refusal::Busy));
+fn command(shared: &Shared, of: u32, message: HostMessage) {
+    let heard_us = Instant::now().as_micros();
+    if shared.commands.push(Command::Host { of, heard_us, message }).is_err() {
+        shared.tell(Event::Nack(of, Refusal::Busy));
     }
 }
 

@@ -97,6 +97,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
 }
 
 fn planned(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
+    duration_ms(wanted.seconds).context("--seconds")?;
     let duties = wanted.duties.iter().map(|d| units::duty(d)).collect::<Result<Vec<_>>>().context("--duties")?;
     if wanted.folders.is_empty() {
         return Ok(first_experiment(&duties, wanted.trials, wanted.seconds, 50.0));

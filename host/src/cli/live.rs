@@ -8,12 +8,14 @@ use ratatui::{DefaultTerminal, Terminal};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::atomic::Ordering;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::thread;
 use std::time::Duration;
 use twum_host::link::Received;
 use twum_host::link::bench::{Action, Experiment, Outcome};
+use twum_host::link::relay::{self, Watching};
 use twum_host::record::decode::{Decoder, Item, LinkStatistics};
 use twum_host::record::live::LiveView;
 use twum_host::record::live_server::LiveServer;
@@ -21,18 +23,21 @@ use twum_host::record::store::Ending;
 
 /// The screen is drawn this often.
 const DRAW_EVERY: Duration = Duration::from_millis(100);
+/// Pieces taken from another program between two drawings.
+const PIECES: usize = 256;
 /// Messages on their way to the screen; what does not fit is not shown, and never waited for.
 const WAITING: usize = 4096;
 
 /// Arguments of `twum live`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-A port belongs to one program at a time. To watch a run, follow the recording it makes:
+To watch a run, follow the recording it makes, or its board through the program that holds the port:
 
   twum track --port /dev/ttyUSB0 --out sine.mcap      (in one terminal)
   twum live sine.mcap                                 (in another)
+  twum live --port /dev/ttyUSB0                       (in another)
 
-Reading a growing file cannot slow its writer. Without a run, watch the board itself, recording or not:
+Neither can slow the run. Without a run, watch the board itself, recording or not:
 
   twum live --port /dev/ttyUSB0 --out idle.mcap
 
@@ -104,6 +109,8 @@ fn take_all(decoder: &mut Decoder, view: &mut LiveView) -> Result<()> {
 /// Where the view is shown: on the terminal if there is one, and to Foxglove if asked for.
 struct Screen {
     terminal: Option<DefaultTerminal>,
+    /// A key was pressed that ends it.
+    quit: Arc<AtomicBool>,
     server: Option<LiveServer>,
 }
 
@@ -117,7 +124,11 @@ impl Screen {
             true => Some(ratatui::try_init().context("cannot take over the terminal")?),
             false => None,
         };
-        Ok(Self { terminal, server })
+        let quit = Arc::<AtomicBool>::default();
+        if terminal.is_some() {
+            watch_keys(quit.clone());
+        }
+        Ok(Self { terminal, quit, server })
     }
 
     /// Shows the view, then waits for the next time; whether to end.
@@ -138,7 +149,8 @@ impl Screen {
             None => heading.to_owned(),
         };
         terminal.draw(|frame| view.draw(frame, &heading, link))?;
-        quit_asked()
+        thread::sleep(DRAW_EVERY);
+        Ok(self.quit.load(Ordering::Relaxed))
     }
 }
 
@@ -164,8 +176,33 @@ fn follow(recording: &Path, mut screen: Screen) -> Result<ExitCode> {
     }
 }
 
+/// Shows what the board says to the program that holds its port, until that ends.
+fn watch_through(mut board: Watching, mut screen: Screen) -> Result<ExitCode> {
+    catch_interrupts()?;
+    let mut view = LiveView::new();
+    loop {
+        for _ in 0..PIECES {
+            let Some(received) = board.next(Duration::from_millis(1)) else { return Ok(ExitCode::SUCCESS) };
+            if received.is_empty() {
+                break;
+            }
+            received.iter().for_each(|received| view.observe(received.header.time_us, &received.message));
+        }
+        if screen.show(&view, "board, through the program that holds its port", LinkStatistics::default())? {
+            return Ok(ExitCode::SUCCESS);
+        }
+    }
+}
+
 /// Records on this thread, as every other command does, and draws on another.
 fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<ExitCode> {
+    let port = connect.port()?;
+    if let Ok(board) = relay::watch_through(&port) {
+        return match &record.out {
+            None => watch_through(board, screen),
+            Some(_) => bail!("another program holds {port} and records, if anybody does: leave --out away"),
+        };
+    }
     let experiment = Experiment {
         configuration: None,
         capture: ALL_STREAMS,
@@ -207,12 +244,18 @@ fn show_received(receiver: &Receiver<Received>, mut screen: Screen) -> Result<()
     }
 }
 
-/// Waits for the next drawing; whether `q` or Ctrl-C was pressed meanwhile.
-fn quit_asked() -> Result<bool> {
-    if !event::poll(DRAW_EVERY)? {
-        return Ok(false);
-    }
-    let Event::Key(key) = event::read()? else { return Ok(false) };
-    let is_interrupt = key.code == KeyCode::Char('c') && key.modifiers.contains(event::KeyModifiers::CONTROL);
-    Ok(is_interrupt || matches!(key.code, KeyCode::Char('q') | KeyCode::Esc))
+/// Sets the flag when `q` or Ctrl-C is pressed, or no key can be any more. On a thread of its own: on a terminal that is gone,
+/// reading keys comes to no end (crossterm 0.29 reads its end of file again and again), and must not keep the view from ending.
+fn watch_keys(quit: Arc<AtomicBool>) {
+    thread::spawn(move || {
+        let asks = |event: Event| match event {
+            Event::Key(key) => {
+                let interrupts = key.code == KeyCode::Char('c') && key.modifiers.contains(event::KeyModifiers::CONTROL);
+                interrupts || matches!(key.code, KeyCode::Char('q') | KeyCode::Esc)
+            }
+            _ => false,
+        };
+        while event::read().is_ok_and(|event| !asks(event)) {}
+        quit.store(true, Ordering::Relaxed);
+    });
 }

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::record::load::load_runs;
 use twum_host::record::plot::{measurement_figure, recording_figure};
-use twum_host::record::recording::Recording;
 
 /// Arguments of `twum plot`.
 #[derive(Debug, clap::Args)]
@@ -37,12 +36,12 @@ pub fn run(args: Args) -> Result<ExitCode> {
         if args.run.is_some() {
             bail!("--run chooses a run of a measurement folder; {} is a recording", args.input.display());
         }
-        let recording = Recording::load(&args.input)?;
-        for line in recording.losses() {
+        let title = args.input.file_stem().map_or_else(Default::default, |stem| stem.to_string_lossy());
+        let (figure, losses) = recording_figure(&args.input, &title)?;
+        for line in losses {
             eprintln!("warning: {}: {line}", args.input.display());
         }
-        let title = args.input.file_stem().map_or_else(Default::default, |stem| stem.to_string_lossy());
-        recording_figure(&recording, &title)?
+        figure
     };
     if let Some(size) = &args.size {
         let (width, height) = size

@@ -104,6 +104,13 @@ pub enum TorqueError {
     },
 }
 
+/// Beyond what any motor of this kind does (mN m, and some tens of rpm) by three orders of magnitude: such a row is a mistake,
+/// and has no linearisation.
+const MAX_LOAD_NM: f64 = 10.0;
+const MAX_RPM: f64 = 100_000.0;
+/// A motor that a micronewton metre stops turns nothing: its friction alone is more.
+const MIN_STALL_NM: f64 = 1e-6;
+
 impl TorqueRuns {
     /// Adds the rows of a CSV file with the columns `duty`, `load_nm` and `rpm`; a row at full duty with `rpm` 0 is a stall.
     ///
@@ -132,15 +139,17 @@ impl TorqueRuns {
         if !(duty > 0.0 && duty <= 1.0) {
             return Err(format!("duty {duty} is outside 0 to 1"));
         }
-        if !(load_nm.is_finite() && rpm.is_finite()) {
-            return Err(format!("load {load_nm} N m and {rpm} rpm must be finite"));
+        if !(load_nm.abs() <= MAX_LOAD_NM && rpm.abs() <= MAX_RPM) {
+            return Err(format!("load {load_nm} N m and {rpm} rpm must be within {MAX_LOAD_NM} N m and {MAX_RPM} rpm"));
         }
         if rpm > 0.0 {
             self.loaded.push(row);
-        } else if rpm == 0.0 && duty == 1.0 && load_nm > 0.0 {
+        } else if rpm == 0.0 && duty == 1.0 && load_nm >= MIN_STALL_NM {
             self.stall_nm.push(load_nm);
         } else if rpm == 0.0 {
-            return Err(format!("a stall must be at duty 1 and a positive torque, got duty {duty} and {load_nm} N m"));
+            return Err(format!(
+                "a stall must be at duty 1 and a torque of {MIN_STALL_NM} N m or more, got duty {duty} and {load_nm} N m"
+            ));
         } else {
             return Err(format!("{rpm} rpm: a load drives no motor backwards; take its sense as positive"));
         }
@@ -837,22 +846,25 @@ impl Report {
     pub fn text(&self) -> String {
         use std::fmt::Write as _;
         let mut out = String::new();
-        let [a, b] = self.ci95;
-        let [c, d] = self.ci95_others_exact;
-        let _ = writeln!(out, "force factor {:.5} N/V, 95 % [{a:.5}, {b:.5}] ({} model)", self.eta_n_v, self.flavour);
-        let _ = writeln!(out, "  [{c:.5}, {d:.5}] were everything else in the motor file exact\n");
+        // Data that say next to nothing bound nothing.
+        let bound = |end: f64| if end.is_finite() { format!("{end:.5}") } else { "no bound".to_owned() };
+        let [a, b] = self.ci95.map(bound);
+        let [c, d] = self.ci95_others_exact.map(bound);
+        let _ = writeln!(out, "force factor {:.5} N/V, 95 % [{a}, {b}] ({} model)", self.eta_n_v, self.flavour);
+        let _ = writeln!(out, "  [{c}, {d}] were everything else in the motor file exact\n");
         let _ = writeln!(
             out,
             "{:<8} {:>12} {:>22} {:>12} {:>12}",
             "with", "correlation", "% of eta for 1 %", "known to", "after fit"
         );
+        let figure = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "-".to_owned() };
         for t in &self.trades {
             let _ = writeln!(
                 out,
-                "{:<8} {:>12.2} {:>22.2} {:>11.1}% {:>11.1}%",
+                "{:<8} {:>12} {:>22} {:>11.1}% {:>11.1}%",
                 t.with,
-                t.correlation,
-                t.exchange,
+                figure(t.correlation),
+                figure(t.exchange),
                 100.0 * t.prior_relative,
                 100.0 * t.posterior_relative
             );

@@ -7,6 +7,7 @@ pub mod bench;
 mod commands;
 mod pty;
 mod readback;
+mod recorder;
 pub mod relay;
 mod serial;
 mod session;

@@ -1,16 +1,17 @@
 //! Reaching a board while another program holds its port: that program listens on a socket in the user's runtime directory and
-//! passes on what any terminal of the same user asks, which is who the board is, and to stop. What is answered is the board's
-//! own answer.
+//! passes on what any terminal of the same user asks, which is who the board is, to stop, and to watch. What is answered is the
+//! board's own answer; who watches gets the board's own bytes.
 //!
 //! The socket is in a directory that only its owner may enter. A program that is killed leaves its socket behind; nobody
-//! listens on it then, and the next program takes its place.
+//! listens on it then, and the next program takes its place. Everybody is served at once: a stop waits for nobody.
 
-use super::{LinkError, Port};
-use std::io::{BufRead, BufReader, Read, Write};
+use super::stopping::STOP_AGAIN;
+use super::{LinkError, Port, Received};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 use twum_shared::frame::{self, Decoder, Header, MAX_ENCODED};
@@ -18,12 +19,14 @@ use twum_shared::message::{DeviceMessage, HostMessage, Identity};
 
 /// A request is looked for this often while the program waits for the board.
 const SLICE: Duration = Duration::from_millis(2);
-/// A frame that is not answered is sent again this often: as a session does with its own stop.
-const AGAIN: Duration = Duration::from_millis(20);
 /// Longest wait for the board's answer.
 const PATIENCE: Duration = Duration::from_millis(2_500);
+/// The line of one who watches.
+const WATCH: &str = "watch";
 /// Longest line on the socket, bytes.
 const LINE: u64 = 64;
+/// What may wait for who watches, pieces of some 10 ms each; what does not fit is not seen there, and never waited for.
+const WATCHED: usize = 256;
 /// Sequences of frames that are passed on, far from those of a session, which count from zero.
 const FIRST_SEQUENCE: u32 = 1 << 31;
 
@@ -91,15 +94,18 @@ fn socket(directory: &Path, port: &str) -> PathBuf {
     directory.join(format!("{name}.sock"))
 }
 
-/// What came in on the socket, and where the answer goes.
-struct Request {
-    asked: Asked,
-    answer: Sender<String>,
+/// What came in on the socket.
+enum Request {
+    /// A question, and where the answer goes.
+    Ask(Asked, Sender<String>),
+    /// Somebody watches from here on.
+    Watch(SyncSender<Vec<u8>>),
 }
 
 /// A request the board has not answered yet.
 struct Waiting {
-    request: Request,
+    asked: Asked,
+    answer: Sender<String>,
     sequences: std::ops::Range<u32>,
     since: Instant,
     sent: Instant,
@@ -111,6 +117,7 @@ pub struct Relay<P> {
     socket: Option<PathBuf>,
     requests: Option<Receiver<Request>>,
     waiting: Vec<Waiting>,
+    watching: Vec<SyncSender<Vec<u8>>>,
     decoder: Decoder,
     sequence: u32,
 }
@@ -121,22 +128,35 @@ impl<P: Port> Relay<P> {
     pub fn new(port: P, name: &str) -> Self {
         let listening = directory().and_then(|directory| listen(&socket(&directory, name)));
         let (socket, requests) = listening.map_or((None, None), |(path, requests)| (Some(path), Some(requests)));
-        Self { port, socket, requests, waiting: Vec::new(), decoder: Decoder::new(), sequence: FIRST_SEQUENCE }
+        Self {
+            port,
+            socket,
+            requests,
+            waiting: Vec::new(),
+            watching: Vec::new(),
+            decoder: Decoder::new(),
+            sequence: FIRST_SEQUENCE,
+        }
     }
 
     /// Sends what others asked for, again where it is not answered.
     fn pass_on(&mut self) -> Result<(), LinkError> {
         let now = Instant::now();
         while let Some(request) = self.requests.as_ref().and_then(|requests| requests.try_recv().ok()) {
-            let sequences = self.sequence..self.sequence;
-            self.waiting.push(Waiting { request, sequences, since: now, sent: now - AGAIN });
+            match request {
+                Request::Watch(watcher) => self.watching.push(watcher),
+                Request::Ask(asked, answer) => {
+                    let sequences = self.sequence..self.sequence;
+                    self.waiting.push(Waiting { asked, answer, sequences, since: now, sent: now - STOP_AGAIN });
+                }
+            }
         }
         self.waiting.retain(|waiting| waiting.since.elapsed() < PATIENCE);
-        for waiting in self.waiting.iter_mut().filter(|waiting| waiting.sent.elapsed() >= AGAIN) {
+        for waiting in self.waiting.iter_mut().filter(|waiting| waiting.sent.elapsed() >= STOP_AGAIN) {
             let mut buffer = [0; MAX_ENCODED];
             let header = Header { sequence: self.sequence, time_us: 0 };
-            let frame = frame::encode(header, &waiting.request.asked.message(), &mut buffer)
-                .expect("a stop and a hello fit a frame");
+            let frame =
+                frame::encode(header, &waiting.asked.message(), &mut buffer).expect("a stop and a hello fit a frame");
             self.port.send(frame)?;
             self.sequence = self.sequence.wrapping_add(1).max(FIRST_SEQUENCE);
             (waiting.sequences.end, waiting.sent) = (self.sequence, now);
@@ -144,15 +164,16 @@ impl<P: Port> Relay<P> {
         Ok(())
     }
 
-    /// Looks for the board's answers in what it sends.
+    /// Looks for the board's answers in what it sends, and passes it to who watches.
     fn look(&mut self, bytes: &[u8]) {
+        self.watching.retain(|watcher| !matches!(watcher.try_send(bytes.to_vec()), Err(TrySendError::Disconnected(_))));
         if self.waiting.is_empty() {
             return;
         }
         for &byte in bytes {
             let Some(Ok((_, message))) = self.decoder.push::<DeviceMessage>(byte) else { continue };
             self.waiting.retain(|waiting| {
-                let answer = match (&message, waiting.request.asked) {
+                let answer = match (&message, waiting.asked) {
                     (DeviceMessage::Ack { of }, Asked::Stop) if waiting.sequences.contains(of) => {
                         "\"stopped\"".to_owned()
                     }
@@ -162,7 +183,7 @@ impl<P: Port> Relay<P> {
                     _ => return true,
                 };
                 // Whoever asked may be gone.
-                let _ = waiting.request.answer.send(answer);
+                let _ = waiting.answer.send(answer);
                 false
             });
         }
@@ -210,7 +231,7 @@ fn listen(path: &Path) -> std::io::Result<(PathBuf, Receiver<Request>)> {
     let listener = match UnixListener::bind(path) {
         Ok(listener) => listener,
         // Left behind by a program that was killed: whoever listened would hold the port, and we would not.
-        Err(error) if error.kind() == std::io::ErrorKind::AddrInUse => {
+        Err(error) if error.kind() == ErrorKind::AddrInUse => {
             std::fs::remove_file(path)?;
             UnixListener::bind(path)?
         }
@@ -220,36 +241,52 @@ fn listen(path: &Path) -> std::io::Result<(PathBuf, Receiver<Request>)> {
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
         for stream in listener.incoming().flatten() {
-            // One that says nothing holds up the next for this long at most.
-            if let Ok(answer) = serve(&stream, &sender) {
-                let _ = writeln!(&stream, "{answer}");
-            }
+            let sender = sender.clone();
+            // Whoever asks may be gone before the answer.
+            std::thread::spawn(move || _ = serve(&stream, &sender));
         }
     });
     Ok((path.to_owned(), receiver))
 }
 
-fn serve(stream: &UnixStream, requests: &Sender<Request>) -> std::io::Result<String> {
+fn serve(mut stream: &UnixStream, requests: &Sender<Request>) -> std::io::Result<()> {
     stream.set_read_timeout(Some(Duration::from_millis(200)))?;
     stream.set_write_timeout(Some(Duration::from_millis(200)))?;
     let mut line = String::new();
     BufReader::new(stream.take(LINE)).read_line(&mut line)?;
+    if line.trim() == WATCH {
+        return show(stream, requests);
+    }
     let known = [Asked::Stop, Asked::Hello].into_iter().find(|asked| asked.word() == line.trim());
-    let Some(asked) = known else { return Ok("{\"error\":\"not understood\"}".to_owned()) };
-    let (answer, answered) = channel();
-    let failed = |reason: &str| Ok(format!("{{\"error\":\"{reason}\"}}"));
-    if requests.send(Request { asked, answer }).is_err() {
-        return failed("it no longer holds the port");
-    }
-    match answered.recv_timeout(PATIENCE) {
-        Ok(answer) => Ok(answer),
-        Err(_) => failed("the board did not answer"),
-    }
+    let answer = match known {
+        None => "{\"error\":\"not understood\"}".to_owned(),
+        Some(asked) => {
+            let (answer, answered) = channel();
+            let failed = |reason: &str| format!("{{\"error\":\"{reason}\"}}");
+            match requests.send(Request::Ask(asked, answer)) {
+                Err(_) => failed("it no longer holds the port"),
+                Ok(()) => answered.recv_timeout(PATIENCE).unwrap_or_else(|_| failed("the board did not answer")),
+            }
+        }
+    };
+    writeln!(stream, "{answer}")
 }
 
-/// Asks through the program that holds the port.
-fn ask(port: &str, asked: Asked) -> Result<serde_json::Value, RelayError> {
-    let directory = directory().map_err(|error| RelayError::Failed(error.to_string()))?;
+/// Passes on what the board sends until one of both is gone.
+fn show(mut stream: &UnixStream, requests: &Sender<Request>) -> std::io::Result<()> {
+    let (watcher, seen) = sync_channel(WATCHED);
+    if requests.send(Request::Watch(watcher)).is_ok() {
+        for bytes in seen {
+            stream.write_all(&bytes)?;
+        }
+    }
+    Ok(())
+}
+
+/// Connects to the program that holds the port, and says one line.
+fn connect(port: &str, line: &str) -> Result<UnixStream, RelayError> {
+    let failed = |error: std::io::Error| RelayError::Failed(error.to_string());
+    let directory = directory().map_err(failed)?;
     let path = socket(&directory, port);
     let owner = |path: &Path| std::fs::symlink_metadata(path).map(|about| about.uid());
     let (Ok(of_socket), Ok(of_directory)) = (owner(&path), owner(&directory)) else { return Err(RelayError::Nobody) };
@@ -257,9 +294,15 @@ fn ask(port: &str, asked: Asked) -> Result<serde_json::Value, RelayError> {
         return Err(RelayError::Foreign(path));
     }
     let stream = UnixStream::connect(&path).map_err(|_| RelayError::Nobody)?;
+    writeln!(&stream, "{line}").map_err(failed)?;
+    Ok(stream)
+}
+
+/// Asks through the program that holds the port.
+fn ask(port: &str, asked: Asked) -> Result<serde_json::Value, RelayError> {
     let failed = |error: std::io::Error| RelayError::Failed(error.to_string());
+    let stream = connect(port, asked.word())?;
     stream.set_read_timeout(Some(PATIENCE + Duration::from_millis(500))).map_err(failed)?;
-    writeln!(&stream, "{}", asked.word()).map_err(failed)?;
     let mut answer = String::new();
     BufReader::new(stream.take(4096)).read_line(&mut answer).map_err(failed)?;
     let answer: serde_json::Value =
@@ -268,6 +311,36 @@ fn ask(port: &str, asked: Asked) -> Result<serde_json::Value, RelayError> {
         Some(error) => Err(RelayError::Failed(error.as_str().unwrap_or_default().to_owned())),
         None => Ok(answer),
     }
+}
+
+/// What a board says to the program that holds its port.
+pub struct Watching {
+    stream: UnixStream,
+    decoder: Decoder,
+}
+
+impl Watching {
+    /// What came within `wait`; none once the other program no longer holds the port.
+    pub fn next(&mut self, wait: Duration) -> Option<Vec<Received>> {
+        let mut bytes = [0; 4096];
+        let read = self.stream.set_read_timeout(Some(wait)).and_then(|()| self.stream.read(&mut bytes));
+        let length = match read {
+            Ok(0) => return None,
+            Ok(length) => length,
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => 0,
+            Err(_) => return None,
+        };
+        let frames = bytes[..length].iter().filter_map(|&byte| self.decoder.push::<DeviceMessage>(byte)?.ok());
+        Some(frames.map(|(header, message)| Received { header, message }).collect())
+    }
+}
+
+/// Watches a board through the program that holds its port.
+///
+/// # Errors
+/// Nobody of this user holds the port.
+pub fn watch_through(port: &str) -> Result<Watching, RelayError> {
+    Ok(Watching { stream: connect(port, WATCH)?, decoder: Decoder::new() })
 }
 
 /// Stops the motor through the program that holds the port; the board has acknowledged it.

@@ -1,3 +1,4 @@
+use super::recorder::Recorder;
 use super::{LinkError, Port};
 use crate::record::order::{Arrival, Order};
 use crate::record::store::{Sender, StoreError, Writer};
@@ -95,7 +96,7 @@ pub struct Session<P: Port> {
     tally: Tally,
     spoke: bool,
     last_keepalive: Duration,
-    writer: Option<Writer>,
+    recorder: Option<Recorder>,
     /// Why there is no recording any more. It waits until the motor needs nothing.
     failed: Option<StoreError>,
     recording_start: Duration,
@@ -131,7 +132,7 @@ impl<P: Port> Session<P> {
             tally: Tally::default(),
             spoke: false,
             last_keepalive: Duration::ZERO,
-            writer: None,
+            recorder: None,
             failed: None,
             recording_start: Duration::ZERO,
             interrupt: None,
@@ -171,7 +172,7 @@ impl<P: Port> Session<P> {
     pub fn record(&mut self, writer: Writer) {
         self.recording_start = self.port.elapsed();
         self.tally = Tally::default();
-        self.writer = Some(writer);
+        self.recorder = Some(Recorder::new(writer, self.port.is_virtual()));
     }
 
     /// Ends the recording; gives its number of frames.
@@ -179,25 +180,30 @@ impl<P: Port> Session<P> {
     /// # Errors
     /// When its end, or an earlier frame, could not be written; every frame before that is intact.
     pub fn finish_recording(&mut self) -> Result<u64, StoreError> {
-        match self.failed.take() {
-            Some(error) => Err(error),
-            None => self.writer.take().map_or(Ok(0), Writer::finish),
-        }
+        let written = self.recorder.take().map_or(Ok(0), |mut recorder| recorder.finish());
+        self.failed.take().map_or(written, Err)
     }
 
     /// Writes into the recording, if there is one. A recording that fails ends, and is told of at the next ordinary wait:
     /// what the motor needs goes first.
-    fn write(&mut self, what: impl FnOnce(&mut Writer, u64) -> Result<(), StoreError>) {
+    fn write(&mut self, what: impl FnOnce(&mut Recorder, u64) -> Result<(), StoreError>) {
         let time_ns = self.recording_time_ns();
-        if let Some(Err(error)) = self.writer.as_mut().map(|writer| what(writer, time_ns)) {
-            self.writer = None;
+        if let Some(Err(error)) = self.recorder.as_mut().map(|recorder| what(recorder, time_ns)) {
             self.failed = Some(error);
         }
     }
 
+    /// Whether the recording can still be written.
+    fn look_at_recording(&mut self) -> Result<(), StoreError> {
+        if self.failed.is_none() && self.recorder.as_ref().is_some_and(Recorder::has_failed) {
+            self.finish_recording()?;
+        }
+        self.failed.take().map_or(Ok(()), Err)
+    }
+
     /// Puts a remark into the recording, if there is one.
     pub fn remark(&mut self, event: &str) {
-        self.write(|writer, time_ns| writer.remark(time_ns, event));
+        self.write(|recorder, time_ns| recorder.remark(time_ns, event));
     }
 
     /// Goes on over another port, after the first was lost. The gap is remarked.
@@ -233,7 +239,7 @@ impl<P: Port> Session<P> {
             self.spoke = true;
         }
         self.port.send(bytes)?;
-        self.write(|writer, time_ns| writer.frame(Sender::Host, time_ns, bytes));
+        self.write(|recorder, time_ns| recorder.frame(Sender::Host, time_ns, bytes));
         Ok(sequence)
     }
 
@@ -299,9 +305,7 @@ impl<P: Port> Session<P> {
             if self.is_interrupted() {
                 return Err(LinkError::Interrupted);
             }
-            if let Some(error) = self.failed.take() {
-                return Err(error.into());
-            }
+            self.look_at_recording()?;
             if now.saturating_sub(self.last_keepalive) >= KEEPALIVE {
                 self.keep_alive()?;
             }
@@ -332,7 +336,7 @@ impl<P: Port> Session<P> {
         if block == [0] {
             return Ok(());
         }
-        self.write(|writer, time_ns| writer.frame(Sender::Device, time_ns, &block));
+        self.write(|recorder, time_ns| recorder.frame(Sender::Device, time_ns, &block));
         if block.last() == Some(&0) {
             block.pop();
         }

@@ -10,6 +10,7 @@ pub mod live_server;
 pub mod load;
 pub mod measurement;
 pub mod order;
+pub mod pieces;
 pub mod plot;
 mod protocol_1;
 pub mod recording;

@@ -290,9 +290,10 @@ impl Gathering {
     }
 }
 
+/// Puts a recording together from its items.
 #[derive(Debug)]
-struct Builder {
-    recording: Recording,
+pub(super) struct Builder {
+    pub(super) recording: Recording,
     session: u32,
     time_us: u64,
     configuration: Option<Configuration>,
@@ -301,7 +302,7 @@ struct Builder {
 }
 
 impl Builder {
-    fn new(metadata: Metadata) -> Self {
+    pub(super) fn new(metadata: Metadata) -> Self {
         Self {
             recording: Recording {
                 metadata,
@@ -323,7 +324,7 @@ impl Builder {
         }
     }
 
-    fn add(&mut self, item: Item) {
+    pub(super) fn add(&mut self, item: Item) {
         match item {
             Item::Device { session, host_time_ns, header, message } => {
                 let end_us = header.time_us;

@@ -4,6 +4,7 @@
 use serialport::{SerialPort, TTYPort};
 use std::collections::VecDeque;
 use std::io::{Read, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -43,13 +44,32 @@ pub struct Seen {
 struct Common {
     seen: Seen,
     wanted: VecDeque<Do>,
+    /// When a thread that wanted to run was kept from it, µs: from, to.
+    kept_us: Vec<(u64, u64)>,
 }
 
 pub struct Rig {
     pub port: String,
     started: Instant,
     common: Arc<Mutex<Common>>,
-    thread: Option<JoinHandle<()>>,
+    ends: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+/// What a thread that sleeps for a millisecond oversleeps on a machine that does nothing else, µs.
+const OVERSLEPT_US: u64 = 300;
+
+/// Notes for how long the machine keeps a thread from running that asks for next to nothing.
+fn watch_the_machine(started: Instant, common: &Mutex<Common>, ends: &AtomicBool) {
+    let now_us = || started.elapsed().as_micros() as u64;
+    while !ends.load(Ordering::Relaxed) {
+        let due_us = now_us() + 1_000;
+        std::thread::sleep(Duration::from_millis(1));
+        let now_us = now_us();
+        if now_us > due_us + OVERSLEPT_US {
+            common.lock().unwrap().kept_us.push((due_us, now_us));
+        }
+    }
 }
 
 /// The motor, watched.
@@ -94,13 +114,21 @@ impl Rig {
         master.set_timeout(Duration::from_millis(1)).unwrap();
         let common = Arc::new(Mutex::new(Common::default()));
         let started = Instant::now();
-        let inner = common.clone();
+        let (inner, watched, ends) = (common.clone(), common.clone(), Arc::new(AtomicBool::new(false)));
+        let inner_ends = ends.clone();
+        let watcher = std::thread::spawn(move || watch_the_machine(started, &watched, &inner_ends));
         let thread = std::thread::spawn(move || {
             let motor = Watched { motor: FirstOrderMotor::default(), now_s: 0.0, common: inner.clone() };
             let board = Board::new(Setup { motor: Box::new(motor), ..Setup::default() });
             Server::new(board, master, kept_open, started, inner).serve();
         });
-        Self { port, started, common, thread: Some(thread) }
+        Self { port, started, common, ends, threads: vec![thread, watcher] }
+    }
+
+    /// For how long, between two times, the machine kept a thread that wanted to run from it, µs.
+    pub fn kept_us(&self, from_us: u64, to_us: u64) -> u64 {
+        let kept = &self.common.lock().unwrap().kept_us;
+        kept.iter().map(|&(from, to)| to.min(to_us).saturating_sub(from.max(from_us))).sum()
     }
 
     pub fn now_us(&self) -> u64 {
@@ -131,7 +159,8 @@ impl Rig {
 impl Drop for Rig {
     fn drop(&mut self) {
         self.act(Do::End);
-        let _ = self.thread.take().map(JoinHandle::join);
+        self.ends.store(true, Ordering::Relaxed);
+        self.threads.drain(..).for_each(|thread| _ = thread.join());
     }
 }
 

@@ -174,6 +174,14 @@ pub enum StoreError {
         /// Frames in the file.
         frames: u64,
     },
+    /// The disk does not keep up; what it took is intact.
+    #[error("{}: the disk does not keep up: {waiting} frames wait for it", path.display())]
+    Behind {
+        /// The recording.
+        path: PathBuf,
+        /// Frames that wait.
+        waiting: usize,
+    },
     /// Not a recording of this program.
     #[error("{}: not a recording: {what}", path.display())]
     NotARecording {

@@ -55,6 +55,16 @@ impl Writer {
                 io::ErrorKind::AlreadyExists => StoreError::Exists(path.to_owned()),
                 _ => StoreError::io(path, reason),
             })?;
+        Self::onto(file, path, metadata)
+    }
+
+    /// The recording's file.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Begins a recording in an open file, which goes by `path`.
+    pub(crate) fn onto(file: File, path: &Path, metadata: &Metadata) -> Result<Self, StoreError> {
         let syncing = file.try_clone().ok().map(sync_every_second);
         let begin = || -> Result<Container, McapError> {
             let options = mcap::WriteOptions::new()

@@ -205,4 +205,13 @@ mod tests {
             assert_eq!(unit.divider, divider(2_000));
         }
     }
+
+    #[test]
+    fn a_divider_taken_at_once_leaves_the_counter_its_value() {
+        let mut unit = unit(Chip::Esp32);
+        unit.write_divider(divider(2_000));
+        unit.update_timer(PERIOD_50_HZ / 2);
+        assert_eq!(unit.count(PERIOD_50_HZ / 2), PERIOD / 2);
+        assert_eq!(unit.overflow_at(), PERIOD_50_HZ / 2 + 20_000);
+    }
 }
