@@ -45,7 +45,7 @@ const FLAVOUR: Flavour = Flavour::Physical;
 /// What to hide.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Hide {
-    /// One of [`POOL`], by the seed.
+    /// One that shows in speeds at constant duty and has no twin there, by the seed.
     Random,
     /// Nothing.
     Nothing,
