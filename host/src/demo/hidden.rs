@@ -46,7 +46,7 @@ const FLAVOUR: Flavour = Flavour::Physical;
 /// What to hide.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Hide {
-    /// One of [`POOL`], by the seed.
+    /// One of `POOL`, by the seed.
     Random,
     /// Nothing.
     Nothing,
