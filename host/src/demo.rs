@@ -127,7 +127,7 @@ pub fn run(folder: &Path, hide: &Hide, seed: u64, mut progress: impl FnMut(&str)
         ))
         .heading("Two controllers");
     page = page.paragraph(
-        "The firmware's own code, run in virtual time on a simulated board, aligned a simulated 30 mm PCBMotor and tracked \
+        "The firmware's own code, run in virtual time on a simulated board, aligned a simulated 30 mm PCBMotor (flavour `measured`) and tracked \
          89 counts (80.1°) at 1.257 rad/s for 20 s under both named controllers. Every frame was recorded; every control \
          tick in the recordings was recomputed with the same fixed-point step. Times of ticks are virtual.",
     );
@@ -155,11 +155,9 @@ pub fn run(folder: &Path, hide: &Hide, seed: u64, mut progress: impl FnMut(&str)
 
 fn track(recording: &Path, control: ControlSpec) -> Result<Tally, DemoError> {
     let spec = control.config().expect("the named controllers are valid; a test builds both");
-    let mut session = Session::new(SimulatedLink::new(Setup::hybrid(
-        &Motor::pcbmotor_30mm(),
-        Flavour::default(),
-        &EffectSet::default(),
-    )?));
+    // The thesis's own test, which this flavour gives as the real motor did.
+    let setup = Setup::hybrid(&Motor::pcbmotor_30mm(), Flavour::Measured, &EffectSet::default())?;
+    let mut session = Session::new(SimulatedLink::new(setup));
     let experiment = Experiment {
         configuration: Some(Configuration::with_control(spec)),
         capture: CaptureMode { bits: true, edges: true, control: true },

@@ -336,7 +336,7 @@ fn errors_name_their_cause_once() {
     };
     fails(&["velocity", "."], "b.csv:3:6: level `x` is not a number");
     fails(&["import", "."], "b.csv:3:6: level `x` is not a number");
-    fails(&["velocity", "nowhere"], "No such file or directory");
+    fails(&["velocity", "nowhere"], "no such file or folder");
     fails(&["velocity", "not.mcap"], "not a recording");
     fails(&["live", "nowhere.mcap", "--once"], "No such file or directory");
     fails(&["export", "nowhere.mcap", "--to", "csv", "x"], "No such file or directory");
@@ -347,6 +347,20 @@ fn errors_name_their_cause_once() {
     fails(&["velocity", ".", "--plot", "a.pdf"], "a figure is written as .svg or .png");
     fails(&["velocity", ".", "--period-us", "1e-9"], "are the most: take a longer period");
     fails(&["velocity", ".", "--method", "thesis-butterworth", "--csv", "nowhere/a.csv"], "No such file or directory");
+}
+
+/// The README's commands run on a clean clone: the measurement it names is there, whole, and a dead zone shows in its speeds.
+#[test]
+fn the_example_is_a_measurement_with_something_hidden_in_it() {
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/first");
+    let found = json(&twum(Path::new("."), &["velocity", example.to_str().unwrap(), "--json"]));
+    let runs = found.as_array().unwrap();
+    assert_eq!(runs.len(), 20);
+    // Of a duty u the motor gets u - 0.08, and its speed goes with what it gets.
+    for run in runs {
+        let (duty, rpm) = (run["duty"].as_f64().unwrap(), run["mean_rpm"].as_f64().unwrap().abs());
+        assert!((rpm - 35.3 * (duty - 0.08)).abs() < 0.6, "{run}");
+    }
 }
 
 /// A recording plots as it is: a public MCAP reader finds the motion in it, with its schema, equal to what the frames say.

@@ -104,15 +104,20 @@ impl ConnectArgs {
         }
     }
 
-    /// Asks the board who it is; what recordings of it keep of its motor.
-    pub fn motor(&self, session: &mut Session<Box<dyn Port>>) -> Result<String> {
-        self.motor.kept(&session.hello()?.chip)
+    /// Asks the board who it is; what recordings of it keep of its motor. `used` is the configuration of what is to be run.
+    pub fn motor(&self, session: &mut Session<Box<dyn Port>>, used: Option<&Configuration>) -> Result<String> {
+        let chip = session.hello()?.chip;
+        let kept = self.motor.kept(&chip)?;
+        if let Some(used) = used {
+            self.motor.has_edges(&chip, used.edges_per_rev)?;
+        }
+        Ok(kept)
     }
 
     /// Performs an experiment; a lost port is waited for and opened again. The recording keeps the board's motor.
     pub fn perform(&self, mut experiment: Experiment, observe: impl FnMut(&Received)) -> Result<Outcome> {
         let mut session = self.session()?;
-        experiment.motor = self.motor(&mut session)?;
+        experiment.motor = self.motor(&mut session, None)?;
         self.conduct(&mut session, &experiment, observe)
     }
 
@@ -135,7 +140,7 @@ impl ConnectArgs {
             capture: ALL_STREAMS,
             action: action(&used)?,
             recording,
-            motor: self.motor(&mut session)?,
+            motor: self.motor(&mut session, Some(&used))?,
         };
         let outcome = self.conduct(&mut session, &experiment, observe);
         restore(&mut session, own, used);

@@ -187,7 +187,7 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
     args.configuration.over(Configuration::with_control(ConfigSpec::DEFAULT))?;
     let mut session = args.connect.session()?;
     let own = own_configuration(&mut session)?;
-    let motor = args.connect.motor(&mut session)?;
+    let motor = args.connect.motor(&mut session, Some(&args.configuration.over(own)?))?;
     let series = match task {
         Task::Begin(runs) => Series::begin(&args.out, runs)?,
         Task::Resume(series) => series,

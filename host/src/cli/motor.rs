@@ -53,6 +53,23 @@ impl MotorArgs {
         Ok(self.motor.clone().or(defaults::load()?.motor))
     }
 
+    /// Refuses a board that simulates an encoder of another number of edges than it is configured with: every angle would be
+    /// wrong by their ratio.
+    pub fn has_edges(&self, chip: &str, edges_per_rev: u16) -> Result<()> {
+        let Some(simulated) = Simulated::parse(chip).filter(|it| it.motor != SIMPLE) else { return Ok(()) };
+        let motor = Motor::load(&self.asked()?.unwrap_or(simulated.motor))?;
+        if motor.edges_per_rev != u32::from(edges_per_rev) {
+            bail!(
+                "the board simulates `{}`, whose encoder has {} edges a revolution, and is configured with {edges_per_rev}: \
+                 give --edges-per-rev {}",
+                motor.name,
+                motor.edges_per_rev,
+                motor.edges_per_rev
+            );
+        }
+        Ok(())
+    }
+
     /// What the recording keeps of the motor: the one asked for, which a simulated board must not contradict. `chip` is what
     /// the board says of itself.
     pub fn kept(&self, chip: &str) -> Result<String> {

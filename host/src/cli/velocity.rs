@@ -205,7 +205,7 @@ fn print_summaries(summaries: &[SpeedFigures]) {
         "time s",
         "edges",
         "mean rpm",
-        "\u{b1} rpm",
+        "sd rpm",
         "rpm/s",
         "1/turn",
         "2/turn",
@@ -217,8 +217,9 @@ fn print_summaries(summaries: &[SpeedFigures]) {
     ];
     print_table(&header, &rows);
     eprintln!(
-        "mean, \u{b1} (of the estimate), drift and ripple are of the driven part after its first 0.2 s; rise, peak and overshoot \
-         are of that start, stop and coast of what follows the drive."
+        "mean, sd, drift and ripple are of the driven part after its first 0.2 s; rise, peak and overshoot are of that start, \
+         stop and coast of what follows the drive. sd is of the estimate at a moment, not of the mean: edges say little of \
+         the speed between pulses."
     );
 }
 

@@ -17,6 +17,28 @@ pub struct Command {
     pub direction: Direction,
 }
 
+/// The duty the driver works with: quantised, less the dead zone, bent at the top.
+pub fn effective_duty(effects: &EffectSet, duty: f64) -> f64 {
+    let mut u = duty.clamp(0.0, 1.0);
+    if let Some(e) = effects.duty_quantisation
+        && e.step > 0.0
+    {
+        u = ((u / e.step).round() * e.step).min(1.0);
+    }
+    if let Some(e) = effects.dead_zone {
+        u = (u - e.threshold_duty).max(0.0);
+        if e.gate_duty > 0.0 {
+            u /= 1.0 + (-(duty - e.gate_duty) / e.gate_width).exp();
+        }
+    }
+    if let Some(e) = effects.high_duty_saturation {
+        u /= 1.0 + e.bend * u * u;
+        u = u.min(1.0 - e.flat_top);
+        u /= 1.0 + u * e.inverse_us;
+    }
+    u.min(1.0)
+}
+
 /// The PWM generator in front of a plant, with the effects of the actuator path.
 #[derive(Debug, Clone)]
 pub struct Pwm {
@@ -65,28 +87,6 @@ impl Pwm {
         self.running = self.commanded;
     }
 
-    /// The duty the driver works with: quantised, less the dead zone, bent at the top.
-    fn effective(&self, duty: f64) -> f64 {
-        let mut u = duty.clamp(0.0, 1.0);
-        if let Some(e) = self.effects.duty_quantisation
-            && e.step > 0.0
-        {
-            u = ((u / e.step).round() * e.step).min(1.0);
-        }
-        if let Some(e) = self.effects.dead_zone {
-            u = (u - e.threshold_duty).max(0.0);
-            if e.gate_duty > 0.0 {
-                u /= 1.0 + (-(duty - e.gate_duty) / e.gate_width).exp();
-            }
-        }
-        if let Some(e) = self.effects.high_duty_saturation {
-            u /= 1.0 + e.bend * u * u;
-            u = u.min(1.0 - e.flat_top);
-            u /= 1.0 + u * e.inverse_us;
-        }
-        u.min(1.0)
-    }
-
     /// Drives `plant` to `until_s`.
     pub fn advance(&mut self, plant: &mut impl Plant, until_s: f64, observe: &mut dyn FnMut(&Segment)) {
         let delay = self.effects.start_delay.map_or(0.0, |e| e.delay_s);
@@ -100,7 +100,7 @@ impl Pwm {
                 start = self.phase_s + self.index as f64 * self.period_s;
                 end = start + self.period_s;
             }
-            let duty = self.effective(self.running);
+            let duty = effective_duty(&self.effects, self.running);
             let rise = if duty > 0.0 { start + (1.0 - duty) * self.period_s } else { f64::INFINITY };
             let on = now >= rise - 1e-12;
             if on && !self.was_on {

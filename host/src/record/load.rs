@@ -26,6 +26,12 @@ pub enum LoadError {
         /// Why.
         reason: ExportError,
     },
+    /// Nothing is there.
+    #[error("{path}: no such file or folder")]
+    Missing {
+        /// As it was given.
+        path: String,
+    },
     /// Several measurements below a folder.
     #[error("{path} holds several measurements, name one: {folders}")]
     Several {
@@ -48,6 +54,9 @@ pub enum LoadError {
 /// # Errors
 /// As [`Measurement::load`], [`Recording::load`] and [`to_measurement`]; when a folder holds several measurements.
 pub fn load_runs(path: &Path) -> Result<(Measurement, Vec<String>), LoadError> {
+    if !path.exists() {
+        return Err(LoadError::Missing { path: path.display().to_string() });
+    }
     if path.is_file() && path.file_name().is_none_or(|name| name != MANIFEST) {
         return recorded(path);
     }

@@ -3,6 +3,7 @@
 use super::Setup;
 use super::driver_board::DriverHealth;
 use super::motor::{FirstOrderMotor, SimulatedMotor};
+use crate::model::actuator::effective_duty;
 use crate::model::effects::EffectSet;
 use crate::model::motor::Motor;
 use crate::model::motor_plant::{History, MotorPlant, Solver};
@@ -98,6 +99,9 @@ impl Setup {
     }
 }
 
+/// The shortest step the plant makes (s): a thousandth of the simulated board's microsecond.
+const SHORTEST_S: f64 = 1e-9;
+
 /// A motor model with the effects of the actuator in front of it.
 #[derive(Clone, Debug)]
 pub struct HybridMotor {
@@ -116,21 +120,14 @@ impl HybridMotor {
         Self { plant, effects, nudged_rad: 0.0, duty: 0.0, period_s: 0.02, on_s: None }
     }
 
-    /// How long after the pin the supply comes on (s): what quantisation and dead zone take off the duty, and the start's delay.
-    fn delay_s(&self) -> f64 {
-        let e = &self.effects;
-        let mut duty = self.duty;
-        if let Some(e) = e.duty_quantisation.filter(|e| e.step > 0.0) {
-            duty = ((duty / e.step).round() * e.step).min(1.0);
-        }
-        if let Some(e) = e.dead_zone {
-            duty = (duty - e.threshold_duty).max(0.0);
-        }
-        (self.duty - duty).max(0.0) * self.period_s + e.start_delay.map_or(0.0, |e| e.delay_s)
+    /// What the effects of the actuator take off each period's on time (s). A duty that they round up stays as the pin has it.
+    fn lost_s(&self) -> f64 {
+        (self.duty - effective_duty(&self.effects, self.duty)).max(0.0) * self.period_s
     }
 
     fn run(&mut self, dt_s: f64, level: f64, direction: Direction) {
-        if dt_s > 0.0 {
+        // Rounding leaves slivers of a step over, and a step of no length has no slope.
+        if dt_s > SHORTEST_S {
             let until_s = self.plant.time_s() + dt_s;
             self.plant.advance(until_s, Drive { level, direction, duty: self.duty }, &mut |_| {});
         }
@@ -146,12 +143,13 @@ impl SimulatedMotor for HybridMotor {
         // A board whose clock runs fast makes its ticks and its PWM in less time than it says.
         let dt_s = dt_s / (1.0 + self.effects.clock_error.map_or(0.0, |e| e.error));
         if drive_on {
-            let mut since_s = self.on_s.unwrap_or(0.0);
-            // Under full duty the pin never goes off: what a dead zone takes, it takes in every period.
-            if self.effects.dead_zone.is_some() && since_s >= self.period_s {
+            let (mut since_s, lost_s) = (self.on_s.unwrap_or(0.0), self.lost_s());
+            // Under full duty the pin never goes off: what is taken off a period, is taken off every one.
+            if lost_s > 0.0 && since_s >= self.period_s {
                 since_s -= self.period_s;
             }
-            let off_s = (self.delay_s() - since_s).clamp(0.0, dt_s);
+            let late_s = lost_s + self.effects.start_delay.map_or(0.0, |e| e.delay_s);
+            let off_s = (late_s - since_s).clamp(0.0, dt_s);
             self.run(off_s, 0.0, direction);
             self.run(dt_s - off_s, 1.0, direction);
             self.on_s = Some(since_s + dt_s);
@@ -216,6 +214,12 @@ mod tests {
         assert!((dead / none - 0.8).abs() < 0.02, "{dead} of {none}");
         let late = speed(&mut hybrid("start-delay", &[1e-3]), 10_000);
         assert!((late / none - 0.9).abs() < 0.02, "{late} of {none}");
+        let bent = speed(&mut hybrid("high-duty-saturation", &[1.0]), 10_000);
+        assert!((bent / none - 1.0 / 1.5).abs() < 0.02, "{bent} of {none}");
+        let mut full = hybrid("dead-zone", &[0.08]);
+        full.pwm(1.0, 0.02);
+        let angle = (0..100_000).fold(0.0, |_, _| full.advance(50e-6, true, Direction::Cw));
+        assert!(angle > 10.0, "{angle} rad after five seconds");
         let full = speed(&mut hybrid("dead-zone", &[0.1]), 20_000) / speed(&mut hybrid("dead-zone", &[0.0]), 20_000);
         assert!((full - 0.9).abs() < 0.02, "{full} at full duty");
         let fast = speed(&mut hybrid("clock-error", &[0.1]), 10_000);

@@ -152,6 +152,9 @@ impl Reader<File> {
     pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         let path = path.as_ref();
         let file = input::open(path).map_err(|reason| match reason.kind() {
+            io::ErrorKind::InvalidInput if path.is_dir() => {
+                StoreError::not(path, "a folder: name one of the .mcap files in it")
+            }
             io::ErrorKind::InvalidInput => StoreError::not(path, "not a regular file"),
             _ => StoreError::io(path, reason),
         })?;

@@ -61,9 +61,9 @@ impl Ledc {
         now < self.falls_at()
     }
 
-    /// The fraction of the running period in which the output is low, and the period's length (s).
+    /// The fraction of the running period in which the output is low, none when told off, and the period's length (s).
     pub fn running(&self) -> (f64, f64) {
-        let low = PERIOD - self.duty.min(PERIOD);
+        let low = if self.duty == OFF { 0 } else { PERIOD - self.duty.min(PERIOD) };
         (f64::from(low) / f64::from(PERIOD), self.cycles(PERIOD) as f64 / f64::from(PWM_CLOCK_HZ))
     }
 
