@@ -423,7 +423,7 @@ fn a_stop_from_another_terminal_has_the_motor_off_within_50_ms() {
         let rig = Rig::start();
         let out = folder.path().join(format!("{round}.mcap"));
         let twum = |arguments: &[&str]| {
-            let mut command = Command::new(env!("CARGO_BIN_EXE_twum"));
+            let mut command = terminal::alone("exec \"$@\"");
             command.args(arguments).args(["--port", &rig.port]).env("XDG_RUNTIME_DIR", folder.path());
             command.stdout(Stdio::null()).stderr(Stdio::null());
             command

@@ -8,8 +8,11 @@ use serialport::{SerialPort, TTYPort};
 use simulator::{Simulator, text};
 use std::io::Read;
 use std::process::{Child, Command};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+/// One test at a time: what the other one starts would hold this one's terminal open.
+static ALONE: Mutex<()> = Mutex::new(());
 /// Generous: the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -58,6 +61,7 @@ fn ended(mut child: Child) -> Option<i32> {
 
 #[test]
 fn a_view_ends_when_its_terminal_goes_away() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("a.mcap");
     let made = Command::new(env!("CARGO_BIN_EXE_twum"))
@@ -79,6 +83,7 @@ fn a_view_ends_when_its_terminal_goes_away() {
 
 #[test]
 fn a_board_that_another_program_holds_is_watched_through_it() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let simulator = Simulator::start();
     let folder = tempfile::tempdir().unwrap();
     let run = simulator.tracking(&folder.path().join("run.mcap"));
