@@ -12,6 +12,8 @@ use twum_shared::step::{Config, ConfigSpec, Inputs, State, step};
 const DELAYS: [usize; 12] = [1, 2, 3, 4, 6, 8, 10, 15, 20, 30, 40, 60];
 /// Smallest RMS difference worth a word, in duty steps: below it the two are the same number printed twice.
 const SAME: f64 = 0.02;
+/// Smallest relative difference of a gain that is another gain: what the read-off rate leaves of a loop at its limits looks like 2 %.
+const LEAST_MISMATCH: f64 = 0.05;
 /// What the target's rate, which is not logged, can be read off whole counts to, in counts/s: feed-forward is known no better.
 const RATE_ERROR: f64 = 3.0;
 /// Half the window over which the rate is read, in s.
@@ -176,7 +178,8 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
         let gain = held[slot].gain();
         let interval = held[slot].gain_interval(seed);
         let p = p_value(improvements[*k], &null);
-        let good = p <= LARGEST_P && gain >= LEAST_GAIN && interval[0] > 0.0;
+        let other_gains = ticks.is_some() || parameters.iter().any(|e| e.value.abs() >= LEAST_MISMATCH);
+        let good = p <= LARGEST_P && gain >= LEAST_GAIN && interval[0] > 0.0 && other_gains;
         let beaten = slot != winner && held[winner].lead_interval(&held[slot], seed)[0] > 0.0;
         let tied = good
             && (0..best.len()).any(|o| {

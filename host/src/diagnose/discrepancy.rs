@@ -36,7 +36,7 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
         Term {
             lives_in: "time",
             columns: flexible((0..6).map(|j| Basis::Time(j, 6)).collect()),
-            coordinates: &[Coordinate::Start, Coordinate::Slow],
+            coordinates: &[Coordinate::Start],
             own: false,
             harmonic: false,
         },

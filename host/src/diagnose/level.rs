@@ -12,7 +12,7 @@ pub const NAMES: [&str; 5] = ["run to run", "duty", "direction", "duty and direc
 /// What is believed of the spreads before the data: medians and log deviations. Repeated runs of such motors differ by about a per
 /// cent; what a wrong equation does to the speed over duty, direction and order is believed to be some thousandths.
 const MEDIANS: Taus = [0.012, 0.006, 0.003, 0.003, 0.003];
-const LOG_SDS: Taus = [0.5, 0.6, 0.5, 0.5, 0.5];
+const LOG_SDS: Taus = [0.5, 0.6, 0.35, 0.35, 0.35];
 
 /// Standard deviation of the gain that all runs share: the free speed was refitted.
 const COMMON: f64 = 0.1;

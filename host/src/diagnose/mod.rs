@@ -22,6 +22,7 @@ pub mod observe;
 pub mod plan;
 pub mod prior;
 pub mod problem;
+mod pwm_line;
 pub mod refit;
 pub mod report;
 pub mod rotor;

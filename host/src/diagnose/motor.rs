@@ -1,7 +1,9 @@
 //! Between the motor file and the rotor equation: where the search starts, and what it means for the motor.
 
 use super::answer::Diagnosis;
+use super::library::library;
 use super::problem::{Model, Problem};
+use super::refit::coefficients;
 use super::rotor::{HARMONICS, P, Parameters as Rotor, RunInput, RunTerms, Schedule, simulate, warm_up};
 use crate::model::actuator::Pwm;
 use crate::model::averaged::Averaged;
@@ -53,9 +55,8 @@ fn pulsed_speed(p: Parameters, flavour: Flavour) -> f64 {
 
 /// The same of the rotor equation without its effects.
 fn pulsed_speed_of(rotor: &Rotor) -> f64 {
-    let [free, on, off, viscous, band] =
-        [P::FreeSpeed, P::OnAcceleration, P::OffDeceleration, P::Viscous, P::SlipBand].map(|p| rotor.get(p));
-    let bare = Rotor::new(free, on, off, viscous, band)
+    let [free, on, viscous, band] = [P::FreeSpeed, P::OnAcceleration, P::Viscous, P::SlipBand].map(|p| rotor.get(p));
+    let bare = Rotor::new(free, on, rotor.off_deceleration(), viscous, band)
         .with(P::WaveTime, rotor.get(P::WaveTime))
         .with(P::RingDown, rotor.get(P::RingDown));
     let schedule = Schedule::constant(PULSED_DUTY, 1.0, PULSED_HZ, 0.0, 2.0 * PULSED_S);
@@ -92,7 +93,7 @@ pub fn refitted(motor: &Motor, flavour: Flavour, rotor: &Rotor) -> Motor {
     };
     let friction =
         rotor.get(P::OnAcceleration) * before.rotor_inertia_kg_m2 / (before.preload_n * before.contact_radius_m);
-    let off = rotor.get(P::OffDeceleration) * before.rotor_inertia_kg_m2 / (before.preload_n * before.contact_radius_m);
+    let off = rotor.off_deceleration() * before.rotor_inertia_kg_m2 / (before.preload_n * before.contact_radius_m);
     let off_friction = if off > 0.0 { off.min(2.0) } else { before.off_friction };
     if off > 0.0 {
         put("uoff", off_friction);
@@ -214,6 +215,15 @@ fn reached(problem: &Problem, p: &Rotor) -> (f64, f64) {
         kept = p.get(P::HeatCarry) * end;
     }
     (revolutions, warmest.max(0.05))
+}
+
+/// Whether an effect of the library was fitted in a model: of effects that cannot be told apart, some are.
+fn is_in(name: &str, extended: &Model) -> bool {
+    let effects = library(1.0, &[]);
+    effects.iter().filter(|e| e.name == name).flat_map(|e| &e.forms).any(|form| {
+        form.sizes.iter().any(|s| extended.parameters.get(s.parameter) != 0.0)
+            || coefficients(extended, &form.phased).iter().flatten().any(|c| *c != 0.0)
+    })
 }
 
 /// What an accepted effect is in the motor model: what was fitted, copied, or through a [`Conversion`].
@@ -392,15 +402,12 @@ pub fn file(
     }
     let mut out = refitted(motor, flavour, &extended.parameters);
     let convert = Conversion::new(&out, flavour);
-    // Of effects that cannot be told apart only the first is in the model.
-    let mut stood_for: Vec<&str> = Vec::new();
     for e in diagnosis.effects.iter().filter(|e| e.status != "rejected") {
-        let carried = if stood_for.contains(&e.name.as_str()) {
-            Err("it cannot be told from another one here, which stands for it")
+        let carried = if e.status == "ambiguous" && !is_in(&e.name, extended) {
+            Err("it cannot be told from another one here, which was fitted in its place")
         } else {
             carried(&e.name, &convert, extended, problem, diagnosis)
         };
-        stood_for.extend(e.conflicts_with.iter().map(String::as_str));
         match carried {
             Ok(values) => {
                 // Within the catalogue's bounds: a fit may end a rounding error beyond them.

@@ -123,6 +123,11 @@ impl Problem {
         self
     }
 
+    /// Whether all runs are of closed loops.
+    pub fn closed(&self) -> bool {
+        self.runs.iter().all(|r| r.kind == RunKind::Track)
+    }
+
     /// Whether the order of the runs is known.
     pub fn ordered(&self) -> bool {
         self.sequence.is_some()

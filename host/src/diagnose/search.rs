@@ -3,11 +3,11 @@
 //! Every set is refitted together with the baseline's own parameters and weighed by its evidence. From a set, all forms of all other
 //! effects are weighed linearly; those of the few best effects are refitted and join the pool. The search is bounded by counts.
 
-use super::baseline::{baseline_free, first_noise};
+use super::baseline::{baseline_free, first_noise, valleys};
 use super::discrepancy::{SIZE, Term, terms};
 use super::evidence::{Equations, Question, Spreads, Start, Weighed, independent, weigh};
 use super::level::Level;
-use super::library::{Effect, Form, Phased, Size};
+use super::library::{Coordinate, Effect, Form, Phased, Size};
 use super::prior::Prior;
 use super::problem::{Column, Model, Problem};
 use super::refit::{Free, Noise, coefficients, columns_of, objective, refit};
@@ -31,6 +31,12 @@ const MOST_EXPANDED: usize = 6;
 const TRIED: usize = 4;
 /// A set this far behind the best, in nats, is not looked at further: what it leads to has to make up for that too.
 const WINDOW: f64 = 9.0;
+/// Share of the root's noise below which its baseline is doubted: half the noise is half the evidence that it was chosen by.
+const MOST_NOISE_LEFT: f64 = 0.5;
+/// Other rotors that are refitted for a few steps.
+const LOOKED_AT: usize = 3;
+/// Relative error of speed from which a wheel is no wheel: it would read motion out of its own error.
+const MOST_OF_A_WHEEL: f64 = 0.7;
 /// Linear gain in nats from which a form is refitted: a refit seldom finds more than another nat, and an effect costs three.
 const LEAST_LOOK: f64 = 2.0;
 /// Nats behind the strongest candidate from which one waits for a later set.
@@ -64,6 +70,8 @@ pub struct Set {
     pub weighed: Weighed,
     /// Terms without physics that the data ask for beside them, strongest first, with the squared error that is then left.
     pub terms: Vec<(&'static str, f64)>,
+    /// Share of the squared error left that a course of each run's own over time or angle would take, by the term's name.
+    pub courses: Vec<(&'static str, f64)>,
     expanded: bool,
 }
 
@@ -116,7 +124,8 @@ impl<'a> Ground<'a> {
 
     /// What is free in a set: the baseline's own parameters and the effects'.
     pub fn free(&self, model: &Model, parts: &[Part]) -> Vec<Free> {
-        let mut free = baseline_free(&model.parameters, &self.home);
+        let mut free = baseline_free(&model.parameters, &self.home, self.problem.closed());
+        free.retain(|own| parts.iter().all(|p| p.free.iter().all(|f| f.parameter != own.parameter)));
         free.extend(parts.iter().flat_map(|p| p.free.iter().copied()));
         free
     }
@@ -130,9 +139,12 @@ impl<'a> Ground<'a> {
     pub fn search(&self, baseline: Model, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
         let mut pool = vec![self.root(baseline)];
         self.settle(&mut pool);
+        self.missing_friction(&mut pool);
         for round in 0..MOST_EXPANDED {
             progress("weighing sets of effects", 0.1 + 0.7 * round as f64 / MOST_EXPANDED as f64);
-            let best = pool.iter().map(|s| s.score).fold(f64::NEG_INFINITY, f64::max);
+            // Terms without physics give way to what explains them, so that they do not close the way to it.
+            let reach = |s: &Set| s.score - FREE_FORM_COST * s.terms.len() as f64;
+            let best = pool.iter().map(reach).fold(f64::NEG_INFINITY, f64::max);
             let open = |s: &Set| !s.expanded && s.parts.len() < MOST_EFFECTS && s.score > best - WINDOW;
             let next =
                 (0..pool.len()).filter(|i| open(&pool[*i])).max_by(|a, b| pool[*a].score.total_cmp(&pool[*b].score));
@@ -142,6 +154,7 @@ impl<'a> Ground<'a> {
             self.expand(&from, &self.usable, TRIED, false, &mut pool);
             if round == 0 {
                 self.reseat(&mut pool);
+                self.reseat_beside(&mut pool);
             }
             self.remove(&mut pool);
         }
@@ -162,6 +175,27 @@ impl<'a> Ground<'a> {
         }
     }
 
+    /// In closed loops, what the root's own friction without a wave departs from the file's, said as `off-phase-braking`: a linear look
+    /// around the root finds none, for it has adapted already.
+    fn missing_friction(&self, pool: &mut Vec<Set>) {
+        let brakes = |e: &&usize| self.effects[**e].forms[0].sizes.iter().any(|s| s.parameter == P::OffLoss);
+        let Some(&effect) = self.usable.iter().find(brakes) else { return };
+        let mut model = pool[0].model.clone();
+        let rate = |p: P| self.home.get(p).max(1e-9);
+        let like = rate(P::OffDeceleration) / rate(P::OnAcceleration) * model.parameters.get(P::OnAcceleration);
+        let missing = 1.0 - model.parameters.get(P::OffDeceleration) / like;
+        if missing <= 0.0 {
+            return;
+        }
+        model.parameters.set(P::OffDeceleration, like);
+        model.parameters.set(P::OffLoss, missing);
+        let spec = &self.effects[effect].forms[0];
+        let parts = vec![Part { effect, form: 0, free: free_of(spec), phased: Vec::new() }];
+        let model = self.refitted(model, &parts, self.noise(&pool[0]), 8);
+        let set = self.weigh_set(parts, model, Some(&pool[0]));
+        pool.push(set);
+    }
+
     /// A better baseline, where a set without its effect leads to one: the refit had stopped in another valley.
     fn reseat(&self, pool: &mut Vec<Set>) {
         let Some(best) = pool.iter().skip(1).max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
@@ -172,6 +206,33 @@ impl<'a> Ground<'a> {
         let again = self.root(model);
         if again.score > pool[0].score + 1.0 {
             *pool = vec![again];
+        }
+    }
+
+    /// Baselines anew beside effects that take most of the error away: the noise that they made before hid which rotor it is.
+    fn reseat_beside(&self, pool: &mut [Set]) {
+        let root = pool[0].weighed.variance;
+        let mut clear: Vec<usize> =
+            (1..pool.len()).filter(|i| pool[*i].weighed.variance < MOST_NOISE_LEFT * root).collect();
+        clear.sort_by(|a, b| pool[*b].score.total_cmp(&pool[*a].score));
+        for at in clear.into_iter().take(TRIED) {
+            let set = &pool[at];
+            let noise = self.noise(set);
+            let value = |m: &Model| {
+                let free = self.free(m, &set.parts);
+                let prior: f64 = free.iter().map(|f| f.prior.log_density(m.parameters.get(f.parameter))).sum();
+                objective(self.problem, m, noise) - 2.0 * noise.variance * prior
+            };
+            let mut others: Vec<(f64, Model)> =
+                valleys(self.problem, &self.home, &set.model).into_iter().skip(1).map(|m| (value(&m), m)).collect();
+            others.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let near = others.into_iter().take(LOOKED_AT).map(|(_, m)| self.refitted(m, &set.parts, noise, 4));
+            let Some(best) = near.min_by(|a, b| value(a).total_cmp(&value(b))) else { continue };
+            let model = self.refitted(best, &set.parts, noise, 8);
+            let again = self.weigh_set(set.parts.clone(), model, Some(&pool[0]));
+            if again.score > pool[at].score {
+                pool[at] = again;
+            }
         }
     }
 
@@ -243,6 +304,9 @@ impl<'a> Ground<'a> {
         for k in 0..best.parts.len() {
             let mut rest = best.key();
             rest.retain(|e| *e != best.parts[k].effect);
+            if self.effects[best.parts[k].effect].coordinate == Coordinate::Angle {
+                self.exchange_twin(&best, k, pool);
+            }
             let Some(base) = pool.iter().find(|s| s.key() == rest).cloned() else { continue };
             let name = self.effects[best.parts[k].effect].name;
             let rivals: Vec<usize> = self
@@ -262,6 +326,52 @@ impl<'a> Ground<'a> {
             // Beside what was found since, another form of the effect itself may be the nearer one.
             let anew: Vec<usize> = rivals.into_iter().chain([best.parts[k].effect]).collect();
             self.expand(&base, &anew, anew.len(), true, pool);
+        }
+    }
+
+    /// Runout in the place of an eccentric wheel, or the other way round, from where the other's coefficients put it: a linear search
+    /// from nothing does not get as far as they are.
+    fn exchange_twin(&self, set: &Set, k: usize, pool: &mut Vec<Set>) {
+        let part = &set.parts[k];
+        let now = coefficients(&set.model, &part.phased);
+        let twins =
+            self.usable.iter().filter(|e| **e != part.effect && self.effects[**e].is_twin(&self.effects[part.effect]));
+        for &effect in twins {
+            // The forms with the same harmonics.
+            let has = |f: &Form, h: Option<usize>| f.phased.iter().any(|p| p.harmonic() == h);
+            let enough = |f: &Form| part.phased.iter().all(|p| has(f, p.harmonic()));
+            let fewest = self.effects[effect].forms.iter().filter(|f| enough(f)).map(|f| f.phased.len()).min();
+            for (form, spec) in self.effects[effect].forms.iter().enumerate() {
+                if !enough(spec) || Some(spec.phased.len()) != fewest {
+                    continue;
+                }
+                let mut parts = set.parts.clone();
+                parts[k] = Part { effect, form, free: free_of(spec), phased: spec.phased.clone() };
+                let mut model = strip(&set.model, part);
+                for s in &spec.shapes {
+                    model.parameters.set(s.parameter, s.start);
+                }
+                let values: Vec<Vec<f64>> = now
+                    .iter()
+                    .map(|run| {
+                        let of = |h: usize| part.phased.iter().position(|p| p.harmonic() == Some(h));
+                        let pairs = spec.phased.iter().map(|p| match of(p.harmonic().unwrap_or(0)) {
+                            Some(i) => p.from_twin([run[2 * i], run[2 * i + 1]]),
+                            None => [0.0; 2],
+                        });
+                        pairs.flatten().collect()
+                    })
+                    .collect();
+                super::refit::put_coefficients(&mut model, &spec.phased, &values);
+                let model = self.refitted(model, &parts, self.noise(set), 6);
+                let other = self.weigh_set(parts, model, Some(&pool[0]));
+                let key = other.key();
+                match pool.iter().position(|s| s.key() == key) {
+                    Some(k) if pool[k].score >= other.score => {}
+                    Some(k) => pool[k] = other,
+                    None => pool.push(other),
+                }
+            }
         }
     }
 
@@ -360,16 +470,22 @@ impl<'a> Ground<'a> {
         let mut chosen: Vec<usize> = Vec::new();
         let mut best = weighed.log;
         let mut left = Vec::new();
-        for _ in 0..2 {
-            let next = (0..self.terms.len())
+        let mut courses = Vec::new();
+        for round in 0..2 {
+            let looks: Vec<(usize, f64, f64)> = (0..self.terms.len())
                 .into_par_iter()
                 .filter(|t| !chosen.contains(t))
                 .filter_map(|t| {
                     let more = [chosen.clone(), vec![t]].concat();
                     ask(&more, &near, &self.level).map(|w| (t, w.log - self.term_cost(t), w.left))
                 })
-                .max_by(|a, b| a.1.total_cmp(&b.1));
-            let Some((t, log, rest)) = next else { break };
+                .collect();
+            if round == 0 {
+                let of_runs = looks.iter().filter(|l| self.terms[l.0].own);
+                let all = weighed.left + equations.floor();
+                courses = of_runs.map(|l| (self.terms[l.0].lives_in, (weighed.left - l.2) / all.max(1e-12))).collect();
+            }
+            let Some((t, log, rest)) = looks.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
             let cost: f64 = chosen.iter().map(|c| self.term_cost(*c)).sum();
             if log - cost <= best {
                 break;
@@ -391,7 +507,7 @@ impl<'a> Ground<'a> {
             parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
         let shared = (parts.len() - coordinates.len()) as f64;
         let score = best + prior + amplitude - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
-        Set { parts, model, score, weighed, terms: left, expanded: false }
+        Set { parts, model, score, weighed, terms: left, courses, expanded: false }
     }
 
     fn term_cost(&self, term: usize) -> f64 {
@@ -404,6 +520,11 @@ impl<'a> Ground<'a> {
     fn parts_admissible(&self, parts: &[Part], powers: &[f64]) -> bool {
         let mut at = 0;
         parts.iter().all(|part| {
+            let errs = |(p, power): (&Phased, &f64)| match p {
+                Phased::Eccentricity(h) => (h + 1) as f64 * (2.0 * power).sqrt(),
+                _ => 0.0,
+            };
+            let wheel: f64 = part.phased.iter().zip(powers.iter().skip(at)).map(errs).sum();
             let own = &powers[at.min(powers.len())..(at + part.phased.len()).min(powers.len())];
             at += part.phased.len();
             let order = |p: &Phased| match p {
@@ -413,7 +534,7 @@ impl<'a> Ground<'a> {
             let (low, high) = part.phased.iter().zip(own).fold((0.0, 0.0), |(low, high), (p, power)| {
                 if order(p) < 2 { (low + power, high) } else { (low, high + power) }
             });
-            high <= low
+            high <= low && wheel < MOST_OF_A_WHEEL
         })
     }
 
@@ -500,9 +621,7 @@ impl<'a> Ground<'a> {
 
     /// Effects that are not both in a set: they are one thing seen from two sides.
     fn excluded(&self, effect: usize, present: &[usize]) -> bool {
-        let twins = ["preload-runout", "encoder-eccentricity"];
-        let is = |e: usize| twins.contains(&self.effects[e].name);
-        is(effect) && present.iter().any(|p| is(*p))
+        present.iter().any(|p| self.effects[effect].is_twin(&self.effects[*p]))
     }
 
     /// Sizes from the coefficients of a linear search, if they can be.
@@ -585,7 +704,7 @@ fn free_of(form: &Form) -> Vec<Free> {
         // A number that lies in a range away from zero is there as a whole.
         prior: Prior::Normal {
             centre: if s.bounds.0 > 0.0 { 0.5 * (s.bounds.0 + s.bounds.1) } else { 0.0 },
-            sd: if s.bounds.0 > 0.0 { 0.15 } else { s.scale },
+            sd: if s.bounds.0 > 0.0 { 0.05 } else { s.scale },
         },
     };
     let shapes = form.shapes.iter().filter_map(|s| {

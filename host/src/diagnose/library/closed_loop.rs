@@ -1,4 +1,4 @@
-//! What only closed loops show: `gravity-load`, `backlash`, `reversal-miscount`.
+//! What only closed loops show: `gravity-load`, `backlash`, `reversal-miscount`, `off-phase-braking`.
 
 use super::{Coordinate, Effect, Need, Phased, one, phased, reported};
 use crate::diagnose::rotor::P;
@@ -45,5 +45,22 @@ pub(super) fn reversal_miscount() -> Effect {
         ],
         conflicts: &["backlash"],
         next_experiment: "track the same sine for ten periods and return to the mark: a miscount's error grows with each reversal",
+    }
+}
+
+/// Open-loop runs of a motor that brakes otherwise than the file's are of another motor; the loop's own motor is taken for the file's.
+pub(super) fn off_phase_braking() -> Effect {
+    // Secants: half of the friction missing hardly shows, a hundredth left does all the more.
+    let missing = |share: f64| one(P::OffLoss, share, share, (0.0, 0.9999));
+    Effect {
+        name: "off-phase-braking",
+        says: "the rotor brakes with the wave gone as the motor file does not say",
+        equation: "Coulomb torque −Fc_off·sign(ω) while the drive is off",
+        coordinate: Coordinate::Pulse,
+        needs: &[Need::ClosedLoop],
+        forms: [0.7, 0.9, 0.97, 0.99, 0.997].map(missing).into(),
+        reported: vec![reported("friction_missing", "1", P::OffLoss)],
+        conflicts: &[],
+        next_experiment: "open-loop runs at duties of 0.1 to 0.5 with edge timestamps: the coasting after each pulse shows the braking",
     }
 }

@@ -79,6 +79,24 @@ impl Phased {
             Phased::Gravity => [Column::Gravity(0), Column::Gravity(1)],
         }
     }
+
+    /// Which multiple of the angle a runout or an eccentric wheel acts at, less one.
+    pub fn harmonic(self) -> Option<usize> {
+        match self {
+            Phased::Runout(h) | Phased::Eccentricity(h) => Some(h),
+            Phased::Gravity => None,
+        }
+    }
+
+    /// Its cosine and sine where `[c, s]` are those of the twin that changes the observed speed alike: a drive that is stronger by
+    /// c·cos(kθ) + s·sin(kθ) moves the angle as a wheel that errs by the integral of that over θ.
+    pub fn from_twin(self, [c, s]: [f64; 2]) -> [f64; 2] {
+        match self {
+            Phased::Eccentricity(h) => [-s / (h + 1) as f64, c / (h + 1) as f64],
+            Phased::Runout(h) => [s * (h + 1) as f64, -c * (h + 1) as f64],
+            Phased::Gravity => [c, s],
+        }
+    }
 }
 
 /// One way in which an effect may act.
@@ -133,10 +151,10 @@ pub enum Coordinate {
     Duty,
     /// The time within a pulse of the drive.
     Pulse,
-    /// The time since the start of a run.
+    /// The time since the start of a run, or since the motor was cold.
     Start,
-    /// Seconds and runs.
-    Slow,
+    /// The runs, one after the other.
+    Order,
     /// The direction.
     Direction,
     /// The angle of the rotor or the wheel.
@@ -173,7 +191,7 @@ pub struct Effect {
 }
 
 /// What is found before the plant is fitted, in the record and in the controller, with the sentence and the equation of each.
-const BEFORE_THE_PLANT: [(&str, &str, &str); 4] = [
+const BEFORE_THE_PLANT: [(&str, &str, &str); 3] = [
     (
         "dropped-samples",
         "whole words of samples are missing, and what follows has moved up",
@@ -189,26 +207,23 @@ const BEFORE_THE_PLANT: [(&str, &str, &str); 4] = [
         "the controller that ran is not the one stated: its gains differ",
         "u = (1 + p)·kp·e + (1 + i)·ki·Σe + (1 + d)·kd·Δe",
     ),
-    (
-        "off-phase-braking",
-        "the rotor brakes with the wave gone as the motor file does not say",
-        "Coulomb torque −Fc_off·sign(ω) while the drive is off",
-    ),
 ];
 
 /// Names of all effects that can be found.
 pub fn known_effects() -> Vec<&'static str> {
-    BEFORE_THE_PLANT.iter().map(|e| e.0).chain(library(1.0).iter().map(|e| e.name)).collect()
+    BEFORE_THE_PLANT.iter().map(|e| e.0).chain(library(1.0, &[]).iter().map(|e| e.name)).collect()
 }
 
 /// The sentence and the equation of an effect.
 pub fn says(name: &str) -> Option<(&'static str, &'static str)> {
     let early = BEFORE_THE_PLANT.iter().find(|e| e.0 == name).map(|e| (e.1, e.2));
-    early.or_else(|| library(1.0).iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
+    early.or_else(|| library(1.0, &[]).iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
 }
 
 /// The whole library. The rotor's acceleration under drive in rad/s² sets the scale of the searches over friction.
-pub fn library(on_acceleration: f64) -> Vec<Effect> {
+/// `clock_errors`
+/// are those at which the PWM's line stands out in the records.
+pub fn library(on_acceleration: f64, clock_errors: &[f64]) -> Vec<Effect> {
     vec![
         resonance_heating::effect(),
         frequency_settling::effect(),
@@ -221,13 +236,14 @@ pub fn library(on_acceleration: f64) -> Vec<Effect> {
         preload_runout::effect(),
         encoder_eccentricity::effect(),
         unequal_edges::effect(),
-        clock_error::effect(),
+        clock_error::effect(clock_errors),
         stribeck_friction::effect(on_acceleration),
         supply_sag::effect(),
         run_in_wear::effect(),
         closed_loop::gravity_load(),
         closed_loop::backlash(),
         closed_loop::reversal_miscount(),
+        closed_loop::off_phase_braking(),
     ]
 }
 
@@ -278,6 +294,12 @@ impl Form {
 }
 
 impl Effect {
+    /// Whether two effects do the same to the data but for their form: one thing seen from two sides, never both in a set.
+    pub fn is_twin(&self, other: &Self) -> bool {
+        let angle = |e: &Self| e.forms.iter().any(|f| f.phased.iter().any(|p| p.harmonic().is_some()));
+        angle(self) && angle(other)
+    }
+
     /// In how many ways it may act that no parameter joins: a choice among them is a choice made on the data.
     pub fn ways(&self) -> usize {
         (0..self.forms.len()).filter(|k| self.forms[..*k].iter().all(|f| f.differs(&self.forms[*k]))).count()

@@ -21,7 +21,7 @@ pub(super) fn effect() -> Effect {
         name: "resonance-heating",
         says: "the motor slows as it warms up: its resonance drifts away from the drive frequency",
         equation: "dT/dt = (u − T)/τ, speed·(1 − h·T)",
-        coordinate: Coordinate::Slow,
+        coordinate: Coordinate::Start,
         needs: &[Need::LongRun],
         forms: cold.into_iter().chain(carried).collect(),
         reported: vec![

@@ -11,7 +11,7 @@ pub(super) fn effect() -> Effect {
         name: "run-in-wear",
         says: "the motor changes for good from run to run, with the distance it has turned",
         equation: "speed·(1 + w·log(1 + revs/r₀))",
-        coordinate: Coordinate::Slow,
+        coordinate: Coordinate::Order,
         needs: &[Need::Order],
         forms: [0.3, 3.0, 30.0, 300.0]
             .map(|r0| {

@@ -85,6 +85,8 @@ pub enum P {
     ClockDrift,
     /// `frequency-settling`: 1 where it counts the time of the drive, 0 where it counts time.
     SettleOnTime,
+    /// `off-phase-braking`: share of the friction without a wave that is missing.
+    OffLoss,
     /// `preload-runout`: how much of it acts on the speed of the wave (1 = all).
     RunoutSpeed,
     /// `preload-runout`: how much of it acts on the drive's torque.
@@ -95,7 +97,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 41] = [
+    pub const ALL: [P; 42] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -134,6 +136,7 @@ impl P {
         P::FlatTop,
         P::ClockDrift,
         P::SettleOnTime,
+        P::OffLoss,
         P::RunoutSpeed,
         P::RunoutTorque,
         P::RunoutBrake,
@@ -168,6 +171,11 @@ impl Parameters {
     /// The value of one parameter.
     pub fn get(&self, p: P) -> f64 {
         self.0[p as usize]
+    }
+
+    /// Deceleration without a wave in rad/s², what is missing of the friction taken off.
+    pub fn off_deceleration(&self) -> f64 {
+        self.get(P::OffDeceleration) * (1.0 - self.get(P::OffLoss))
     }
 
     /// Sets one parameter.
@@ -210,8 +218,13 @@ pub struct RunTerms {
 }
 
 impl RunTerms {
-    /// Angle that the encoder reads too far at a measured angle, in rad.
+    /// Angle in rad that the encoder reads too far where it reads `measured`: the wheel errs by its own angle, which is the measured one
+    /// less the error.
     pub fn encoder_error(&self, measured: f64) -> f64 {
-        harmonics(&self.eccentricity, measured)
+        // Each round leaves an error smaller by the wheel's relative error of speed, a third at most.
+        (0..FIXED_POINT_ROUNDS).fold(0.0, |error, _| harmonics(&self.eccentricity, measured - error))
     }
 }
+
+/// 0.3^5 of an error that is itself a third of a radian at most: a thousandth of a radian.
+const FIXED_POINT_ROUNDS: usize = 5;

@@ -244,7 +244,7 @@ impl<'a> Simulation<'a> {
         if ring_down > 0.0 {
             self.advance(until.min(overrun + ring_down), Wanted::Off, self.wave.rate);
         }
-        self.advance(until, Wanted::Off, self.p.get(P::OffDeceleration).max(0.0));
+        self.advance(until, Wanted::Off, self.p.off_deceleration().max(0.0));
     }
 
     /// After the last period.
