@@ -103,7 +103,7 @@ pub(super) fn experiment(
     progress("looking for the cause");
     let (mut measurement, _) = load_runs(folder)?;
     measurement.name = "demo".to_owned();
-    let options = Options { seed, quick: true, motor: Some(motor.parameters(FLAVOUR)), ..Options::default() };
+    let options = Options { seed, motor: Some(motor.parameters(FLAVOUR)), ..Options::default() };
     let (diagnosis, details) = diagnose(&[measurement], &options, &|what, _| {
         let _ = what;
     })?;
