@@ -24,7 +24,7 @@ const LATENCY_S: f64 = 2e-3;
 /// A.4), in s.
 const RING_DOWN_S: f64 = 4.6e-4;
 
-/// The motor's own parameters that are fitted; `home` are the motor file's.
+/// The motor's own parameters that are fitted; `home` are the motor file's, `closed` says that the runs are of closed loops.
 pub fn baseline_free(model: &Parameters, home: &Parameters, closed: bool) -> Vec<Free> {
     let speed = model.get(P::FreeSpeed);
     let rate = |parameter: P, other: LogNormal| {
@@ -46,8 +46,8 @@ pub fn baseline_free(model: &Parameters, home: &Parameters, closed: bool) -> Vec
         bounds: (0.02 * listed, 50.0 * listed),
         prior: Prior::log_normal(listed, log_sd),
     };
-    let off = if closed {
-        // That the motor brakes otherwise than its file says is a finding there.
+    let off = if closed && home.get(P::OffDeceleration) > 0.0 {
+        // That the motor brakes less than its file says is a finding there.
         let like = home.get(P::OffDeceleration) / home.get(P::OnAcceleration).max(1e-9);
         near(P::OffDeceleration, (like * model.get(P::OnAcceleration)).max(1.0), SAME_MOTOR_LOG_SD)
     } else {
@@ -96,6 +96,8 @@ const STARTS_S: [f64; 3] = [2e-4, 1e-3, 5e-3];
 const STOPS_S: [f64; 5] = [2e-4, 1e-3, 5e-3, 5e-2, 1.0];
 /// Starts of equal rates that are refitted for a few steps, how many in all, and of these to the end.
 const OF_A_KIND: usize = 2;
+/// Natural logarithm within which rates are equal: the next of [`STARTS_S`] is five times as slow.
+const ALIKE_LOG: f64 = 0.2;
 const LOOKED_AT: usize = 8;
 const FINISHED: usize = 2;
 
@@ -135,7 +137,7 @@ fn of_every_kind(models: Vec<Model>) -> Vec<Model> {
     let mut kept: Vec<Model> = Vec::new();
     for m in models {
         let rate = |m: &Model| m.parameters.get(P::OnAcceleration);
-        let alike = kept.iter().filter(|k| (rate(k) / rate(&m)).ln().abs() < 0.2).count();
+        let alike = kept.iter().filter(|k| (rate(k) / rate(&m)).ln().abs() < ALIKE_LOG).count();
         if alike < OF_A_KIND {
             kept.push(m);
         }
