@@ -17,6 +17,8 @@ const MOST_POINTS: usize = 5000;
 /// Lines that are handed on.
 const LINES: usize = 2;
 
+/// Relative errors of the recorder's clock at which the PWM's line stands out, strongest first; empty where it is in its place, or
+/// without pulsed runs.
 pub fn clock_errors(problem: &Problem) -> Vec<f64> {
     let pulsed: Vec<&Observed> =
         problem.runs.iter().filter(|r| r.pitch > 0.0 && r.duty.is_some_and(|d| d > 0.0 && d < 1.0 - 1e-9)).collect();

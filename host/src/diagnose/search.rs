@@ -130,6 +130,16 @@ impl<'a> Ground<'a> {
         free
     }
 
+    /// Log prior of what is free.
+    fn log_prior(&self, model: &Model, parts: &[Part]) -> f64 {
+        self.free(model, parts).iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum()
+    }
+
+    /// Squared error in rpm²·s less what the priors are worth of it.
+    fn misfit(&self, model: &Model, parts: &[Part], noise: Noise) -> f64 {
+        objective(self.problem, model, noise) - 2.0 * noise.variance * self.log_prior(model, parts)
+    }
+
     /// The refitted baseline, weighed.
     pub fn root(&self, baseline: Model) -> Set {
         self.weigh_set(Vec::new(), baseline, None)
@@ -218,11 +228,7 @@ impl<'a> Ground<'a> {
         for at in clear.into_iter().take(TRIED) {
             let set = &pool[at];
             let noise = self.noise(set);
-            let value = |m: &Model| {
-                let free = self.free(m, &set.parts);
-                let prior: f64 = free.iter().map(|f| f.prior.log_density(m.parameters.get(f.parameter))).sum();
-                objective(self.problem, m, noise) - 2.0 * noise.variance * prior
-            };
+            let value = |m: &Model| self.misfit(m, &set.parts, noise);
             let mut others: Vec<(f64, Model)> =
                 valleys(self.problem, &self.home, &set.model).into_iter().skip(1).map(|m| (value(&m), m)).collect();
             others.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -494,8 +500,7 @@ impl<'a> Ground<'a> {
             chosen.push(t);
             left.push((self.terms[t].lives_in, rest));
         }
-        let free = self.free(&model, &parts);
-        let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
+        let prior = self.log_prior(&model, &parts);
         let amplitude: f64 = weighed
             .powers
             .iter()
@@ -674,11 +679,7 @@ impl<'a> Ground<'a> {
                 starts.push(at(0.4));
             }
         }
-        let value = |m: &Model| {
-            let free = self.free(m, &parts);
-            let prior: f64 = free.iter().map(|f| f.prior.log_density(m.parameters.get(f.parameter))).sum();
-            objective(self.problem, m, noise) - 2.0 * noise.variance * prior
-        };
+        let value = |m: &Model| self.misfit(m, &parts, noise);
         let looked: Vec<Model> = starts.into_iter().map(|s| self.refitted(s, &parts, noise, 2)).collect();
         let best = looked.into_iter().min_by(|a, b| value(a).total_cmp(&value(b)));
         let model = best.unwrap_or(start);

@@ -15,12 +15,13 @@ pub const POSSIBLE: f64 = 0.05;
 pub const TEMPERATURE: f64 = 1.5;
 /// The same of closed loops, three records that each see everything at once: 0.95 is 12 nats, and what led by up to 10 was not there.
 pub const CLOSED_TEMPERATURE: f64 = 4.0;
-/// Nats by which one of two twins has to lead: what a second effect over one coordinate costs, for the same reason.
+/// Nats by which one of two effects that look alike has to lead: they differ by their form alone, and on the generators that may be used
+/// for choosing the wrong one led by up to 37.
 const ALIKE: f64 = 40.0;
 /// Share of all that is removed that a term without physics may remove beside a cause: more, and the cause is not what there is to see.
 const MOST_BESIDE: f64 = 0.4;
 /// Share of what is left that runs may take with courses of their own over time or angle where nothing is hidden: the sampling of edges has
-/// none; discs, recorders and starting took up to an eighth in motors without an effect.
+/// none; discs, recorders and starting took an eighth at most in 19 of 20 motors without an effect.
 const MOST_OF_A_COURSE: f64 = 0.15;
 /// Nats that a spread of gains over duty, direction or order may cost against what is believed of it: beyond, something moves the gains
 /// that no effect of the set explains. 3.3 deviations, one in a thousand.
@@ -45,8 +46,8 @@ pub struct Judgement {
     pub withheld: bool,
 }
 
-/// Judges the visited sets, best first. `root` is the set without effects, `temperature` what leads are divided by; `twins` says which effects do the same to the data
-/// but for their form.
+/// Judges the visited sets, best first. `root` is the set without effects, `temperature` what leads are divided by; `alike` says which
+/// effects do the same to the data but for their form.
 pub fn judge(
     sets: &[Set],
     root: &Set,
@@ -80,7 +81,7 @@ pub fn judge(
     if probability(&|s| s.key().iter().any(|k| one_of.contains(k))) < NAMED {
         one_of.clear();
     }
-    // A twin that is behind by no more than forms differ is a rival, whatever the probabilities.
+    // What looks alike and is behind by no more than forms differ is a rival, whatever the probabilities.
     let rivals: Vec<(usize, usize)> = named
         .iter()
         .flat_map(|e| {

@@ -220,9 +220,8 @@ pub fn says(name: &str) -> Option<(&'static str, &'static str)> {
     early.or_else(|| library(1.0, &[]).iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
 }
 
-/// The whole library. The rotor's acceleration under drive in rad/s² sets the scale of the searches over friction.
-/// `clock_errors`
-/// are those at which the PWM's line stands out in the records.
+/// The whole library. The rotor's acceleration under drive in rad/s² sets the scale of the searches over friction; `clock_errors` are the
+/// relative errors at which the PWM's line stands out in the records.
 pub fn library(on_acceleration: f64, clock_errors: &[f64]) -> Vec<Effect> {
     vec![
         resonance_heating::effect(),
@@ -340,4 +339,27 @@ pub fn not_judged(effect: &Effect, problem: &Problem) -> Option<String> {
         }
     };
     effect.needs.iter().find_map(lacks).map(str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if a runout is put in a wheel's place with a sign or a harmonic wrong: the wheel's error grows by c·cos(kθ) + s·sin(kθ) a radian.
+    #[test]
+    fn twins_move_the_angle_alike() {
+        for h in 0..3 {
+            let k = (h + 1) as f64;
+            let runout = [0.07, -0.02];
+            let wheel = Phased::Eccentricity(h).from_twin(runout);
+            let error = |theta: f64| wheel[0] * (k * theta).cos() + wheel[1] * (k * theta).sin();
+            for theta in [0.3_f64, 1.9, 4.0] {
+                let slope = (error(theta + 1e-5) - error(theta - 1e-5)) / 2e-5;
+                let drive = runout[0] * (k * theta).cos() + runout[1] * (k * theta).sin();
+                assert!((slope - drive).abs() < 1e-8, "{slope} {drive}");
+            }
+            let back = Phased::Runout(h).from_twin(wheel);
+            assert!((back[0] - runout[0]).abs() + (back[1] - runout[1]).abs() < 1e-12);
+        }
+    }
 }

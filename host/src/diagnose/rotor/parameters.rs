@@ -228,3 +228,19 @@ impl RunTerms {
 
 /// 0.3^5 of an error that is itself a third of a radian at most: a thousandth of a radian.
 const FIXED_POINT_ROUNDS: usize = 5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if the wheel's error is taken at the measured angle: then a centred circle off its axis has harmonics that it has not.
+    #[test]
+    fn a_wheel_errs_by_its_own_angle() {
+        let mut terms = RunTerms::default();
+        terms.eccentricity[1] = 0.3;
+        for theta in [0.0_f64, 0.7, 2.0, 4.4, 6.0] {
+            let error = 0.3 * theta.sin();
+            assert!((terms.encoder_error(theta + error) - error).abs() < 1e-3, "{theta}");
+        }
+    }
+}
