@@ -8,8 +8,9 @@ use super::verdict::{LARGEST_P, LEAST_GAIN};
 use crate::record::measurement::{ControlRow, Run, RunData};
 use twum_shared::step::{Config, ConfigSpec, Inputs, State, step};
 
-/// Delays that are tried, in ticks.
-const DELAYS: [usize; 12] = [1, 2, 3, 4, 6, 8, 10, 15, 20, 30, 40, 60];
+/// Longest delay that is tried, in ticks: a PWM period and a half at 50 Hz. All up to it are: what jumps from tick to tick, as the
+/// derivative of whole counts does, is unlike itself a tick later.
+const LONGEST_DELAY: usize = 60;
 /// Smallest RMS difference worth a word, in duty steps: below it the two are the same number printed twice.
 const SAME: f64 = 0.02;
 /// Smallest relative difference of a gain that is another gain: what the read-off rate leaves of a loop at its limits looks like 2 %.
@@ -97,7 +98,7 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     }
     // Pieces of a second; every other one is held out.
     let piece = 2000;
-    let width = 1 + DELAYS.len() + 3;
+    let width = 1 + LONGEST_DELAY + 3;
     let mut designs = Vec::new();
     for r in &all {
         let mut k = 0;
@@ -134,12 +135,12 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     let grams = Grams::with_blocks(&designs, 0, &scales, None, folds, 100);
     let mut names: Vec<(&str, Option<usize>)> = Vec::new();
     let mut groups = Vec::new();
-    for (k, ticks) in DELAYS.iter().enumerate() {
-        names.push(("loop-delay", Some(*ticks)));
-        groups.push(Group::Linear(vec![1 + k]));
+    for ticks in 1..=LONGEST_DELAY {
+        names.push(("loop-delay", Some(ticks)));
+        groups.push(Group::Linear(vec![ticks]));
     }
     names.push(("controller-mismatch", None));
-    let first = 1 + DELAYS.len();
+    let first = 1 + LONGEST_DELAY;
     groups.push(Group::Linear((first..first + 3).collect()));
     let keep: Vec<usize> = (0..names.len()).filter(|k| !without.iter().any(|w| w == names[*k].0)).collect();
     let groups: Vec<Group> = keep.iter().map(|k| groups[*k].clone()).collect();
@@ -161,11 +162,9 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
         let (beta, cov) = grams.fit_all(&[vec![0], own.clone()].concat());
         let parameters = match ticks {
             Some(ticks) => {
-                let i = DELAYS.iter().position(|d| *d == ticks).unwrap_or(0);
-                let low = DELAYS[i.saturating_sub(1)].min(ticks) as f64;
-                let high = DELAYS[(i + 1).min(DELAYS.len() - 1)] as f64;
+                let value = ticks as f64;
                 vec![
-                    Estimate { name: "ticks".into(), value: ticks as f64, interval: [low, high], unit: "1".into() },
+                    Estimate { name: "ticks".into(), value, interval: [value - 0.5, value + 0.5], unit: "1".into() },
                     around("share", beta[1], cov[(1, 1)]),
                 ]
             }
@@ -257,7 +256,7 @@ fn recompute(rows: &[ControlRow], spec: ConfigSpec) -> Option<Recomputed> {
     Some(Recomputed {
         logged: rows.iter().map(|r| r.u).collect(),
         same: signal(spec, 0)?,
-        delayed: DELAYS.iter().map(|d| signal(spec, *d)).collect::<Option<Vec<_>>>()?,
+        delayed: (1..=LONGEST_DELAY).map(|d| signal(spec, d)).collect::<Option<Vec<_>>>()?,
         parts: [only(true, false, false)?, only(false, true, false)?, only(false, false, true)?],
     })
 }
