@@ -105,7 +105,7 @@ const FINISHED: usize = 2;
 /// and one that brakes in between lie in valleys of their own.
 pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) -> Model {
     let value = |model: &Model, noise: Noise| {
-        let free = baseline_free(&model.parameters, home, problem.closed());
+        let free = baseline_free(&model.parameters, home, false);
         let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
         objective(problem, model, noise) - 2.0 * noise.variance * prior
     };
@@ -121,7 +121,7 @@ pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) ->
     let (looked, noise) = sorted(valleys(problem, home, &problem.model(home.clone())));
     let refitted = |models: Vec<Model>, noise: Noise, count: usize, steps: usize| -> Vec<Model> {
         let fit = |m: Model| {
-            let free = baseline_free(&m.parameters, home, problem.closed());
+            let free = baseline_free(&m.parameters, home, false);
             refit(problem, m, &free, &[], noise, steps)
         };
         models.into_iter().take(count).map(fit).collect()
