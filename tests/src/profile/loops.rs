@@ -201,8 +201,8 @@ impl Rotor<'_> {
         let load = self.wrong.load * (self.angle + self.wrong.load_at).sin();
         let along = self.y * sign;
         self.y = if on && along < 0.0 {
-            // Turned round while still moving: down first, with drive and friction together.
-            -sign * self.fall.earlier(-along, dt * (1.0 + load * sign)).max(0.0)
+            // Turned round while still moving: the wave pulls as it does from rest, whatever the rotor does without one.
+            -sign * (-along - self.rise.later(0.0, dt * (1.0 + load * sign))).max(0.0)
         } else if on {
             sign * self.rise.later(along, dt * (1.0 - load * sign))
         } else {
