@@ -57,6 +57,13 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             harmonic: false,
         });
         all.push(Term {
+            lives_in: "PWM phase, every other period",
+            columns: flexible(vec![Basis::EveryOtherPeriod]),
+            coordinates: &[],
+            own: false,
+            harmonic: false,
+        });
+        all.push(Term {
             lives_in: "timing against the PWM",
             columns: (0..6).map(|j| Column::Lag(j, 6)).collect(),
             coordinates: &[Coordinate::Clock],

@@ -180,6 +180,9 @@ impl Conversion {
 
     /// The relative change of the supply's voltage that changes the speed by `slope`.
     fn voltage(&self, slope: f64, shares: &[f64]) -> Option<f64> {
+        if slope == 0.0 {
+            return Some(0.0);
+        }
         let side = |range| self.sized(slope, shares, range, &|p, x| p.force_factor_n_v *= (1.0 + x).max(1e-3));
         if slope < 0.0 { side((-0.6, 0.0)) } else { side((0.0, 0.6)) }
     }
@@ -242,7 +245,14 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
         "start-delay" => vec![("delay_s", of(P::StartDelay))],
         "duty-quantisation" => vec![("step", 1.0 / of(P::QuantSteps))],
         "high-duty-saturation" => {
-            vec![("inverse_us", of(P::Saturation)), ("bend", of(P::Bend)), ("flat_top", of(P::FlatTop))]
+            let losses: Vec<f64> = up_to(1.0).iter().map(|u| u.powf(of(P::BendPower))).collect();
+            vec![
+                ("inverse_us", of(P::Saturation)),
+                ("bend", of(P::Bend)),
+                ("voltage_loss", -convert.voltage(-of(P::BendLoss), &losses).ok_or(NOT_REACHED)?),
+                ("bend_power", of(P::BendPower)),
+                ("flat_top", of(P::FlatTop)),
+            ]
         }
         "contact-stiffening" => vec![("slip_band_excess", of(P::SlipExtra))],
         // High slots are narrower where the edge that begins them is late.

@@ -4,6 +4,7 @@ use super::discrepancy::switching;
 use super::finding::Estimate;
 use super::held_out::Scorer;
 use super::library::{Effect, Phased};
+use super::rotor::P;
 use super::search::{Part, Set};
 
 /// Share of a number by which the library's form of an effect and the real one may disagree on it.
@@ -78,12 +79,13 @@ fn amplitude(scorer: &Scorer, set: &Set, pair: Phased, power: f64) -> Estimate {
         0.0
     };
     let half = 1.96 * spread.hypot(FORM * value);
-    let (name, unit) = match pair {
-        Phased::Runout(h) => (RUNOUT[h], "1"),
-        Phased::Eccentricity(h) => (ECCENTRICITY[h], "rad"),
-        Phased::Gravity => ("gravity_torque_over_inertia", "rad/s^2"),
+    let (name, unit, scale) = match pair {
+        Phased::Runout(h) => (RUNOUT[h], "1", 1.0),
+        Phased::Eccentricity(h) => (ECCENTRICITY[h], "rad", 1.0),
+        Phased::Gravity => ("gravity_torque_over_inertia", "rad/s^2", set.model.parameters.get(P::OnAcceleration)),
     };
-    Estimate { name: name.to_owned(), value, interval: [(value - half).max(0.0), value + half], unit: unit.to_owned() }
+    let interval = [(value - half).max(0.0) * scale, (value + half) * scale];
+    Estimate { name: name.to_owned(), value: value * scale, interval, unit: unit.to_owned() }
 }
 
 /// 97.5 % quantile of Student's t.

@@ -62,16 +62,10 @@ pub enum Column {
 pub enum Basis {
     /// Hat `k` of `n` over the time since the start of the drive (0 to the longest run).
     Time(usize, usize),
-    /// Hat `k` of `n` over duty.
-    Duty(usize, usize),
-    /// Sign of the direction.
-    Direction,
-    /// Direction times hat `k` of `n` over duty.
-    DutyDirection(usize, usize),
-    /// Hat `k` of `n` over the order of the runs.
-    Order(usize, usize),
     /// Hat `k` of `n` over the phase in the PWM period (cyclic).
     Phase(usize, usize),
+    /// 1 in a PWM period, −1 in the next, averaged over the window.
+    EveryOtherPeriod,
     /// The sign of the slot a window begins with, where it ends with one of the other kind.
     Slot,
     /// `cos` (even) or `sin` (odd) of harmonic `k/2 + 1` of the measured angle.
@@ -79,8 +73,6 @@ pub enum Basis {
     /// The free speed, in millisecond `k` after each rise of the drive or (`false`) each fall: what the rotor equation leaves out of
     /// the wave's coming and going.
     AfterSwitching(bool, usize),
-    /// `cos`/`sin` of `hz` over time: a rhythm that is neither the drive's nor the rotor's.
-    Rhythm(usize, f64),
 }
 
 /// Residuals of one run.
@@ -268,8 +260,8 @@ impl Problem {
                 1e-3
             }
             Column::Gravity(h) => {
-                terms.gravity[*h] += 10.0;
-                10.0
+                terms.gravity[*h] += 0.01;
+                0.01
             }
             _ => 1.0,
         };
@@ -301,17 +293,6 @@ impl Problem {
             })
             .collect();
         let longest = self.runs.iter().map(|r| r.drive_end).fold(0.0, f64::max).max(1e-6);
-        let last_order = self.runs.len().max(2) as f64 - 1.0;
-        let rank: Vec<f64> = match &self.sequence {
-            Some(s) => {
-                let mut rank = vec![0.0; self.runs.len()];
-                for (k, i) in s.iter().enumerate() {
-                    rank[*i] = k as f64 / last_order;
-                }
-                rank
-            }
-            None => vec![0.0; self.runs.len()],
-        };
         (0..self.runs.len())
             .into_par_iter()
             .map(|i| {
@@ -366,11 +347,12 @@ impl Problem {
                                 let period = 1.0 / run.pwm_hz;
                                 let b = match *basis {
                                     Basis::Time(j, n) => hat(j, n, t / longest),
-                                    Basis::Duty(j, n) => hat(j, n, run.duty.unwrap_or(0.5)),
-                                    Basis::Direction => run.direction,
-                                    Basis::DutyDirection(j, n) => run.direction * hat(j, n, run.duty.unwrap_or(0.5)),
-                                    Basis::Order(j, n) => hat(j, n, rank[i]),
                                     Basis::Phase(j, n) => cyclic_hat(j, n, t / period),
+                                    Basis::EveryOtherPeriod => {
+                                        let between = [run.times[w.from], run.times[w.to]];
+                                        period * (parity(between[1] / period) - parity(between[0] / period))
+                                            / run.duration(w).max(1e-6)
+                                    }
                                     Basis::Slot => {
                                         let slots = f64::from(run.level[w.from] - run.level[w.to]);
                                         return run.direction * 0.5 * slots * run.pitch / run.duration(w).max(1e-6)
@@ -388,10 +370,6 @@ impl Problem {
                                             p,
                                         );
                                         return run.direction * share * p.get(P::FreeSpeed) * RPM;
-                                    }
-                                    Basis::Rhythm(j, hz) => {
-                                        let a = TAU * hz * t;
-                                        if j == 0 { a.cos() } else { a.sin() }
                                     }
                                 };
                                 b * now.predicted[k]
@@ -419,6 +397,11 @@ struct ShapedColumn {
 fn hat(j: usize, n: usize, x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0) * (n - 1) as f64;
     (1.0 - (x - j as f64).abs()).max(0.0)
+}
+
+/// The integral over `periods` of what is 1 in a period and −1 in the next.
+fn parity(periods: f64) -> f64 {
+    1.0 - (periods.rem_euclid(2.0) - 1.0).abs()
 }
 
 /// Piecewise linear basis function `j` of `n` over the fraction of a period.

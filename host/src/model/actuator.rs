@@ -32,7 +32,7 @@ pub fn effective_duty(effects: &EffectSet, duty: f64) -> f64 {
         }
     }
     if let Some(e) = effects.high_duty_saturation {
-        u /= 1.0 + e.bend * u * u;
+        u /= 1.0 + e.bend * u.powf(e.bend_power);
         u = u.min(1.0 - e.flat_top);
         u /= 1.0 + u * e.inverse_us;
     }

@@ -229,12 +229,16 @@ effects! {
         /// Friction torque (N·m).
         torque_nm: "N·m", Linear, [0.0, 0.1], 0.0, 1e-3;
     }
-    /// More duty gives less and less drive: of a duty u, u/(1 + bend·u²), no more than 1 − flat_top, and of that u/(1 + u/us).
+    /// More duty gives less and less drive: of a duty u, u/(1 + bend·u^bend_power), no more than 1 − flat_top, and of that u/(1 + u/us).
     high_duty_saturation: HighDutySaturation, "high-duty-saturation", Actuator {
         /// 1/us (1).
         inverse_us: "1", Linear, [-0.5, 5.0], 0.0, 0.3;
-        /// Quadratic bend (1).
+        /// Bend (1).
         bend: "1", Linear, [0.0, 5.0], 0.0, 0.0;
+        /// Share of the supply's voltage that is lost at full duty, as u^bend_power (1).
+        voltage_loss: "1", Linear, [0.0, 0.9], 0.0, 0.0;
+        /// Power of the bend (1).
+        bend_power: "1", Linear, [1.0, 12.0], 2.0, 2.0;
         /// Duty that is lost at the top (1).
         flat_top: "1", Linear, [0.0, 0.6], 0.0, 0.0;
     }

@@ -87,6 +87,7 @@ impl MotorPlant {
         let fixed = effects.off_phase_braking.is_some()
             || effects.contact_stiffening.is_some()
             || effects.direction_asymmetry.is_some()
+            || effects.high_duty_saturation.is_some_and(|e| e.voltage_loss != 0.0)
             || effects.stribeck_friction.is_some()
             || effects.presliding.is_some();
         let averaged = matches!(solver, Solver::Averaged).then(|| Averaged::new(parameters, flavour));
@@ -192,6 +193,9 @@ impl MotorPlant {
         }
         if let Some(e) = e.supply_sag {
             m.voltage *= 1.0 - e.sag * self.current;
+        }
+        if let Some(e) = e.high_duty_saturation {
+            m.voltage *= 1.0 - e.voltage_loss * drive.duty.powf(e.bend_power);
         }
         if let Some(e) = e.run_in_wear {
             m.voltage *= (1.0 + e.gain * (self.history.revolutions / e.revolutions).ln_1p()).max(0.0);

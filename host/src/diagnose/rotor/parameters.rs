@@ -77,8 +77,12 @@ pub enum P {
     GateDuty,
     /// `dead-zone`: how softly the gate opens, in duty.
     GateWidth,
-    /// `high-duty-saturation`: quadratic bend, u/(1 + bend·u²).
+    /// `high-duty-saturation`: bend, u/(1 + bend·u^p).
     Bend,
+    /// `high-duty-saturation`: relative speed lost at full duty, as u^p.
+    BendLoss,
+    /// `high-duty-saturation`: the power p of a bend.
+    BendPower,
     /// `high-duty-saturation`: what of the duty beyond 1 − `FlatFrom` is lost.
     FlatTop,
     /// `clock-error`: change of the clock's relative error a second.
@@ -97,7 +101,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 42] = [
+    pub const ALL: [P; 44] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -133,6 +137,8 @@ impl P {
         P::GateDuty,
         P::GateWidth,
         P::Bend,
+        P::BendLoss,
+        P::BendPower,
         P::FlatTop,
         P::ClockDrift,
         P::SettleOnTime,
@@ -163,6 +169,7 @@ impl Parameters {
         p.set(P::StribeckSpeed, 0.5);
         p.set(P::WearRevolutions, 1.0);
         p.set(P::GateWidth, 0.02);
+        p.set(P::BendPower, 2.0);
         p.set(P::RunoutSpeed, 1.0);
         p.set(P::RunoutTorque, 1.0);
         p
@@ -213,7 +220,7 @@ pub struct RunTerms {
     pub runout: [f64; 2 * HARMONICS],
     /// Encoder angle error: cosine and sine of θ, 2θ, 3θ, 4θ in rad.
     pub eccentricity: [f64; 2 * HARMONICS],
-    /// Load torque over inertia: cos θ, sin θ coefficients in rad/s².
+    /// Load torque: cos θ, sin θ coefficients, as a share of the drive's torque.
     pub gravity: [f64; 2],
 }
 

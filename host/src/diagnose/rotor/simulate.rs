@@ -93,6 +93,8 @@ struct Simulation<'a> {
     on_time: f64,
     measured: usize,
     direction: usize,
+    /// Share of the speed that the bend of a high duty leaves.
+    kept: f64,
     /// The pieces of the period that is recorded, if one is.
     record: Option<Vec<Repeated>>,
 }
@@ -143,6 +145,7 @@ impl<'a> Simulation<'a> {
             on_time: 0.0,
             measured: 0,
             direction: 0,
+            kept: 1.0,
             record: None,
         }
     }
@@ -216,6 +219,8 @@ impl<'a> Simulation<'a> {
     }
 
     fn period(&mut self, start: f64, end: f64, duty: f64) {
+        let loss = self.p.get(P::BendLoss);
+        self.kept = if loss != 0.0 { 1.0 - loss * duty.powf(self.p.get(P::BendPower)) } else { 1.0 };
         let duty = effective_duty(duty, self.p);
         let mut on_from = end - duty * (end - start);
         if duty < 1.0 - 1e-9 {
@@ -375,7 +380,8 @@ impl<'a> Simulation<'a> {
         }
         let theta = self.input.angles[self.measured];
         let (s, c) = theta.sin_cos();
-        (harmonics(&self.terms.runout, theta), self.terms.gravity[0] * c + self.terms.gravity[1] * s)
+        let load = self.p.get(P::OnAcceleration) * (self.terms.gravity[0] * c + self.terms.gravity[1] * s);
+        (harmonics(&self.terms.runout, theta), load)
     }
 
     /// Friction that fades with speed, over inertia, against the motion.
@@ -407,6 +413,6 @@ impl<'a> Simulation<'a> {
             let since = if p.get(P::SettleOnTime) > 0.5 { self.on_time } else { self.t };
             gain += p.get(P::SettleExcess) * (-(since + 0.5 * (end - self.t)) / p.get(P::SettleTau).max(1e-4)).exp();
         }
-        gain.max(0.0)
+        (gain * self.kept).max(0.0)
     }
 }
