@@ -14,7 +14,7 @@ use super::refit::{Noise, objective, refit};
 use super::rotor::{P, Parameters};
 use super::search::{Ground, Set, strip};
 use super::stats::{Group, HeldOut};
-use super::verdict::{CLOSED_TEMPERATURE, Judgement, TEMPERATURE, judge};
+use super::verdict::{ALIKE, CLOSED_TEMPERATURE, Judgement, NAMED, TEMPERATURE, judge};
 
 /// What the search is asked to do.
 #[derive(Debug, Clone)]
@@ -82,8 +82,8 @@ pub fn diagnose_runs(
     };
     let unrepaired = refit_baseline(&original, home, counted(&original));
     progress("looking for lost samples", 0.06);
-    let lost = lost_samples(problem, &unrepaired, settings);
-    let (compared, baseline) = match &lost {
+    let mut lost = lost_samples(problem, &problem.model(unrepaired.parameters.clone()), settings);
+    let compare = |lost: &Option<Gaps>| match lost {
         Some(gaps) => {
             let repaired = gaps.problem.clone().widened();
             let baseline = refit_baseline(&repaired, home, counted(&repaired));
@@ -91,10 +91,19 @@ pub fn diagnose_runs(
         }
         None => (original.clone(), unrepaired.clone()),
     };
-    let ground = Ground::new(&compared, home.clone(), &effects, usable);
-    let sets = ground.search(baseline.clone(), progress);
+    let (mut compared, baseline) = compare(&lost);
+    let mut sets = Ground::new(&compared, home.clone(), &effects, usable.clone()).search(baseline, progress);
+    if lost.is_none() && !sets[0].parts.is_empty() {
+        // Behind another effect's error they may not have shown.
+        lost = lost_samples(problem, &sets[0].model, settings);
+        if lost.is_some() {
+            let (repaired, baseline) = compare(&lost);
+            compared = repaired;
+            sets = Ground::new(&compared, home.clone(), &effects, usable.clone()).search(baseline, progress);
+        }
+    }
     progress("measuring what was found", 0.85);
-    let mut outcome = conclude(&ground, &sets, settings);
+    let mut outcome = conclude(&Ground::new(&compared, home.clone(), &effects, usable), &sets, settings);
     if let Some(gaps) = lost {
         let before = Ground::new(&original, home.clone(), &effects, Vec::new());
         let root = before.root(unrepaired);
@@ -106,14 +115,12 @@ pub fn diagnose_runs(
     outcome
 }
 
-/// Lost words of samples, unless a wrong clock does as well.
-fn lost_samples(problem: &Problem, baseline: &Model, settings: &Settings) -> Option<Gaps> {
+/// Lost words of samples beside a model, unless a wrong clock does as well.
+fn lost_samples(problem: &Problem, model: &Model, settings: &Settings) -> Option<Gaps> {
     if settings.without.iter().any(|w| w == "dropped-samples") {
         return None;
     }
-    let model =
-        Model { parameters: baseline.parameters.clone(), terms: problem.model(baseline.parameters.clone()).terms };
-    gaps::find(problem, &model, settings.seed).filter(|g| !clock_explains(problem, &model, g))
+    gaps::find(problem, model, settings.seed).filter(|g| !clock_explains(problem, model, g))
 }
 
 /// Whether a wrong clock does as well as lost samples: both move the PWM line.
@@ -131,18 +138,35 @@ fn clock_explains(problem: &Problem, baseline: &Model, gaps: &Gaps) -> bool {
 }
 
 /// Scores, numbers and left-overs of the sets that were visited, best first.
-fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
+fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcome {
     let scorer = Scorer::new(ground, settings.seed);
-    let root = sets.iter().find(|s| s.parts.is_empty()).unwrap_or(&sets[0]);
-    let alike = |a: usize, b: usize| {
-        let (a, b) = (&ground.effects[a], &ground.effects[b]);
-        a.coordinate == Coordinate::Angle && b.coordinate == Coordinate::Angle
-            || a.conflicts.contains(&b.name)
-            || b.conflicts.contains(&a.name)
+    let root = visited.iter().find(|s| s.parts.is_empty()).unwrap_or(&visited[0]);
+    let alike = |a: usize, b: usize| ground.effects[a].looks_like(&ground.effects[b]);
+    let own_form = |place: &str, effect: usize| {
+        let over = ground.effects[effect].coordinate;
+        ground.terms.iter().any(|t| t.lives_in == place && t.coordinates.contains(&over))
     };
     let temperature = if ground.problem.closed() { CLOSED_TEMPERATURE } else { TEMPERATURE };
-    let mut judged = judge(sets, root, temperature, &alike, &|k, tau| ground.level.log_prior_of(k, tau));
-    let uncertain = strike_uncertain(ground, &scorer, sets, root, &mut judged, settings.seed);
+    let mut standing = visited.to_vec();
+    let mut uncertain: Vec<(usize, f64)> = Vec::new();
+    let mut judged = loop {
+        let judged =
+            judge(&standing, root, temperature, &alike, &own_form, &|k, tau| ground.level.log_prior_of(k, tau));
+        let struck = uncertain_effects(ground, &scorer, &standing, root, &judged, settings.seed);
+        if struck.is_empty() {
+            break judged;
+        }
+        uncertain.extend(struck.iter().map(|e| (*e, inclusion(&judged, *e))));
+        // What leant on them is judged anew without them.
+        standing.retain(|s| s.key().iter().all(|e| !struck.contains(e)));
+    };
+    let sets = standing.as_slice();
+    if judged.named.is_empty() && judged.one_of.is_empty() && judged.lives_in.is_empty() {
+        // Something is there, though none of the effects that were fitted says what.
+        let sure = uncertain.iter().filter(|(_, p)| *p >= NAMED);
+        judged.lives_in.extend(sure.map(|(e, _)| (ground.effects[*e].coordinate.name(), 0.0)));
+    }
+    judged.inclusion.extend(&uncertain);
     let accepted = accepted_set(sets, &judged, root);
     let base = scorer.held_out(root);
     let held_out = base.against(&scorer.held_out(accepted));
@@ -185,7 +209,7 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
         }
         let rival = judged.one_of.contains(effect);
         let held = chance.alone(*effect).cloned().unwrap_or_default();
-        let set = sets.iter().find(|s| s.key().contains(effect));
+        let set = visited.iter().find(|s| s.key().contains(effect));
         let parameters = set
             .and_then(|s| s.parts.iter().find(|p| p.effect == *effect).map(|p| estimates(&scorer, e, s, p)))
             .unwrap_or_default();
@@ -204,7 +228,7 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
             },
             next_experiment: e.next_experiment.to_owned(),
             share: 0.0,
-            note: if uncertain.contains(effect) {
+            note: if uncertain.iter().any(|(e, _)| e == effect) {
                 "likely, but on runs it was not fitted to it does not help for certain".to_owned()
             } else if judged.withheld {
                 "explains part of it, but more lives where no effect acts: not the cause".to_owned()
@@ -250,33 +274,27 @@ fn conclude(ground: &Ground, sets: &[Set], settings: &Settings) -> Outcome {
 }
 
 /// Lead in nats from which an effect needs no second opinion: that of runs held out is linear around the fit and knows of the noise only
-/// what single runs say. On the generators that may be used for choosing, what it rightly struck led by 17 at most.
-const BEYOND_DOUBT: f64 = 25.0;
+/// what single runs say. By less, forms alone may lead.
+const BEYOND_DOUBT: f64 = ALIKE;
 
-/// Strikes effects that do not for certain help on runs they were not fitted to; which they were.
-fn strike_uncertain(
+/// An effect that does not for certain help on runs it was not fitted to, with those that it cannot be told from; empty if all do.
+fn uncertain_effects(
     ground: &Ground,
     scorer: &Scorer,
     sets: &[Set],
     root: &Set,
-    judged: &mut Judgement,
+    judged: &Judgement,
     seed: u64,
 ) -> Vec<usize> {
-    let mut struck = Vec::new();
-    loop {
-        let accepted = accepted_set(sets, judged, root);
-        let all = scorer.held_out(accepted);
-        let doubtful = accepted.parts.iter().filter(|p| lead(sets, p.effect) < BEYOND_DOUBT).find(|p| {
-            let held = scorer.held_out(&without(ground, sets, accepted, p.effect)).against(&all);
-            held.gain_interval(seed)[0] <= 0.0
-        });
-        let Some(effect) = doubtful.map(|p| p.effect) else { return struck };
-        judged.named.retain(|e| *e != effect);
-        if judged.one_of.contains(&effect) {
-            struck.append(&mut judged.one_of);
-        } else {
-            struck.push(effect);
-        }
+    let accepted = accepted_set(sets, judged, root);
+    let all = scorer.held_out(accepted);
+    let doubtful = accepted.parts.iter().filter(|p| lead(sets, p.effect) < BEYOND_DOUBT).find(|p| {
+        let held = scorer.held_out(&without(ground, sets, accepted, p.effect)).against(&all);
+        held.gain_interval(seed)[0] <= 0.0
+    });
+    match doubtful.map(|p| p.effect) {
+        Some(effect) if judged.one_of.contains(&effect) => judged.one_of.clone(),
+        effect => effect.into_iter().collect(),
     }
 }
 

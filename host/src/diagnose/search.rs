@@ -39,7 +39,7 @@ const LOOKED_AT: usize = 3;
 const MOST_OF_A_WHEEL: f64 = 0.7;
 /// Linear gain in nats from which a form is refitted: a refit seldom finds more than another nat, and an effect costs three.
 const LEAST_LOOK: f64 = 2.0;
-/// Nats behind the strongest candidate from which one waits for a later set.
+/// Nats behind what the best candidate brought from which one waits for a later set: what a linear look promises is often not kept.
 const FAR_BEHIND: f64 = 20.0;
 /// A plausible amplitude of what goes with the angle (relative, or rad), and its log deviation.
 const AMPLITUDE: (f64, f64) = (0.08, 1.2);
@@ -244,10 +244,12 @@ impl<'a> Ground<'a> {
 
     /// Sets with one more effect than `from`; `again` also those that were visited, with other forms.
     fn expand(&self, from: &Set, among: &[usize], most: usize, again: bool, pool: &mut Vec<Set>) {
-        let candidates = self.candidates(from, among);
-        let strongest = candidates.first().map_or(0.0, |c| c.gain);
         let mut tried: Vec<(usize, usize)> = Vec::new();
-        for c in candidates.iter().filter(|c| c.gain > strongest - FAR_BEHIND) {
+        let mut brought = f64::NEG_INFINITY;
+        for c in &self.candidates(from, among) {
+            if c.gain < brought - FAR_BEHIND {
+                break;
+            }
             // A second form of an effect is worth a refit where no parameter joins it to the first.
             let forms: Vec<usize> = tried.iter().filter(|t| t.0 == c.effect).map(|t| t.1).collect();
             let effects: std::collections::BTreeSet<usize> = tried.iter().map(|t| t.0).collect();
@@ -265,16 +267,12 @@ impl<'a> Ground<'a> {
             let mut target = from.key();
             target.push(c.effect);
             target.sort_unstable();
-            let known = pool.iter().position(|s| s.key() == target);
-            if known.is_some() && forms.is_empty() && from.parts.len() > 1 && !again {
+            if pool.iter().any(|s| s.key() == target) && forms.is_empty() && from.parts.len() > 1 && !again {
                 continue;
             }
             let set = self.with(from, c, &pool[0]);
-            match known {
-                Some(k) if pool[k].score >= set.score => {}
-                Some(k) => pool[k] = set,
-                None => pool.push(set),
-            }
+            brought = brought.max(set.score - from.score);
+            self.put(set, pool);
         }
     }
 
@@ -308,30 +306,43 @@ impl<'a> Ground<'a> {
     fn swap(&self, pool: &mut Vec<Set>) {
         let Some(best) = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).cloned() else { return };
         for k in 0..best.parts.len() {
-            let mut rest = best.key();
-            rest.retain(|e| *e != best.parts[k].effect);
-            if self.effects[best.parts[k].effect].coordinate == Coordinate::Angle {
+            let effect = &self.effects[best.parts[k].effect];
+            if effect.coordinate == Coordinate::Angle {
                 self.exchange_twin(&best, k, pool);
             }
-            let Some(base) = pool.iter().find(|s| s.key() == rest).cloned() else { continue };
-            let name = self.effects[best.parts[k].effect].name;
+            let present = best.key();
             let rivals: Vec<usize> = self
                 .usable
                 .iter()
                 .copied()
-                .filter(|e| {
-                    let other = &self.effects[*e];
-                    let rival = other.conflicts.contains(&name)
-                        || self.effects[best.parts[k].effect].conflicts.contains(&other.name);
-                    let mut target = rest.clone();
-                    target.push(*e);
-                    target.sort_unstable();
-                    rival && !pool.iter().any(|s| s.key() == target)
-                })
+                .filter(|e| !present.contains(e) && self.effects[*e].looks_like(effect))
                 .collect();
+            // A baseline that was refitted without the effect has taken up part of it, and of what does the same: rivals are looked for
+            // where it leaves a gap.
+            let mut parts = best.parts.clone();
+            let gone = parts.remove(k);
+            let gap = self.weigh_set(parts, strip(&best.model, &gone), Some(&pool[0]));
+            let mut seen = Vec::new();
+            for c in self.candidates(&gap, &rivals) {
+                if !seen.contains(&c.effect) {
+                    seen.push(c.effect);
+                    self.put(self.with(&gap, &c, &pool[0]), pool);
+                }
+            }
             // Beside what was found since, another form of the effect itself may be the nearer one.
-            let anew: Vec<usize> = rivals.into_iter().chain([best.parts[k].effect]).collect();
-            self.expand(&base, &anew, anew.len(), true, pool);
+            if let Some(base) = pool.iter().find(|s| s.key() == gap.key()).cloned() {
+                self.expand(&base, &[gone.effect], 1, true, pool);
+            }
+        }
+    }
+
+    /// The set in the pool, in the place of one of the same effects that is worse.
+    fn put(&self, set: Set, pool: &mut Vec<Set>) {
+        let key = set.key();
+        match pool.iter().position(|s| s.key() == key) {
+            Some(k) if pool[k].score >= set.score => {}
+            Some(k) => pool[k] = set,
+            None => pool.push(set),
         }
     }
 
@@ -370,13 +381,7 @@ impl<'a> Ground<'a> {
                     .collect();
                 super::refit::put_coefficients(&mut model, &spec.phased, &values);
                 let model = self.refitted(model, &parts, self.noise(set), 6);
-                let other = self.weigh_set(parts, model, Some(&pool[0]));
-                let key = other.key();
-                match pool.iter().position(|s| s.key() == key) {
-                    Some(k) if pool[k].score >= other.score => {}
-                    Some(k) => pool[k] = other,
-                    None => pool.push(other),
-                }
+                self.put(self.weigh_set(parts, model, Some(&pool[0])), pool);
             }
         }
     }

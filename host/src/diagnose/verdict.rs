@@ -10,14 +10,14 @@ use super::search::Set;
 pub const NAMED: f64 = 0.95;
 /// Least probability with which an effect is still mentioned as a rival.
 pub const POSSIBLE: f64 = 0.05;
-/// By how much the evidence overstates: with two thirds of the lead, 0.95 is 4.4 nats, below which effects of the generators that may be
-/// used for choosing were as often absent as there.
-pub const TEMPERATURE: f64 = 1.5;
+/// By how much the evidence overstates: with a third of the lead, 0.95 is 8.8 nats. On the generators that may be used for choosing what
+/// led by less was as often absent as there, and of what was there all but one in twenty led by 13 and more.
+pub const TEMPERATURE: f64 = 3.0;
 /// The same of closed loops, three records that each see everything at once: 0.95 is 12 nats, and what led by up to 10 was not there.
 pub const CLOSED_TEMPERATURE: f64 = 4.0;
 /// Nats by which one of two effects that look alike has to lead: they differ by their form alone, and on the generators that may be used
 /// for choosing the wrong one led by up to 37.
-const ALIKE: f64 = 40.0;
+pub const ALIKE: f64 = 40.0;
 /// Share of all that is removed that a term without physics may remove beside a cause: more, and the cause is not what there is to see.
 const MOST_BESIDE: f64 = 0.4;
 /// Share of what is left that runs may take with courses of their own over time or angle where nothing is hidden: the sampling of edges has
@@ -47,12 +47,13 @@ pub struct Judgement {
 }
 
 /// Judges the visited sets, best first. `root` is the set without effects, `temperature` what leads are divided by; `alike` says which
-/// effects do the same to the data but for their form.
+/// effects do the same to the data but for their form, `own_form` whether what lives somewhere may be another form of an effect.
 pub fn judge(
     sets: &[Set],
     root: &Set,
     temperature: f64,
     alike: &dyn Fn(usize, usize) -> bool,
+    own_form: &dyn Fn(&str, usize) -> bool,
     log_prior_of_spread: &dyn Fn(usize, f64) -> f64,
 ) -> Judgement {
     let best = &sets[0];
@@ -120,7 +121,9 @@ pub fn judge(
         let course = best.courses.iter().max_by(|a, b| a.1.total_cmp(&b.1));
         lives_in.extend(course.filter(|c| c.1 > MOST_OF_A_COURSE).copied());
     }
-    let beside: f64 = lives_in.iter().map(|l| l.1).sum();
+    // What lives in a named cause's own coordinate is a matter of its form.
+    let others = lives_in.iter().filter(|l| !named.iter().any(|e| own_form(l.0, *e)));
+    let beside: f64 = others.map(|l| l.1).sum();
     // A cause that makes the runs differ by more than they did is none.
     let worse = (1..NAMES.len()).any(|k| {
         log_prior_of_spread(k, best.weighed.taus[k]) < -LARGEST_SPREAD && best.weighed.taus[k] > root.weighed.taus[k]

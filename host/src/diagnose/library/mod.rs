@@ -167,6 +167,23 @@ pub enum Coordinate {
     Reversal,
 }
 
+impl Coordinate {
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Duty => "duty",
+            Self::Pulse => "PWM phase",
+            Self::Start => "time",
+            Self::Order => "order",
+            Self::Direction => "direction",
+            Self::Angle => "angle",
+            Self::Slots => "encoder slots",
+            Self::Clock => "timing against the PWM",
+            Self::Reversal => "reversals",
+        }
+    }
+}
+
 /// An effect of the library.
 #[derive(Debug, Clone)]
 pub struct Effect {
@@ -297,6 +314,13 @@ impl Effect {
     pub fn is_twin(&self, other: &Self) -> bool {
         let angle = |e: &Self| e.forms.iter().any(|f| f.phased.iter().any(|p| p.harmonic().is_some()));
         angle(self) && angle(other)
+    }
+
+    /// Whether two effects are mistaken for each other.
+    pub fn looks_like(&self, other: &Self) -> bool {
+        self.coordinate == Coordinate::Angle && other.coordinate == Coordinate::Angle
+            || self.conflicts.contains(&other.name)
+            || other.conflicts.contains(&self.name)
     }
 
     /// In how many ways it may act that no parameter joins: a choice among them is a choice made on the data.
