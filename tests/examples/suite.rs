@@ -127,7 +127,7 @@ fn asked() -> Result<Asked, String> {
         }
     }
     if asked.generators.is_empty() {
-        // C is the one that nothing may be chosen on.
+        // Nothing may be chosen on C and D; C is the one that is documented.
         asked.generators.push("c".to_owned());
     }
     if asked.kinds.is_empty() {

@@ -228,7 +228,7 @@ pub fn make(seed: u64, request: &Request) -> Result<Made, String> {
 
 /// Where the rotor is to be: moves of least jerk between places, with rests, or a sum of three sines.
 enum Course {
-    /// Times in s and places in counts; from each to the next over 1 s or the share of it given.
+    /// Times in s and places in counts; from each to the next.
     Moves(Vec<[f64; 2]>),
     /// Amplitudes in counts, rates in rad/s, phases.
     Sines([[f64; 3]; 3]),
@@ -241,7 +241,8 @@ impl Course {
             let mut knots = vec![[0.0, 0.0]];
             let (mut t, mut place) = (dice.even(0.1, 0.5), 0.0);
             while t < SECONDS {
-                let next = dice.even(-0.7, 0.7) * edges;
+                // Short enough for some ten moves in a run.
+                let next = f64::clamp(dice.even(-0.7, 0.7) * edges, place - 0.6 * most, place + 0.6 * most);
                 knots.push([t, place]);
                 // A move of least jerk is 15/8 as fast in its middle as on average.
                 t += 1.875 * f64::abs(next - place) / (most * dice.even(0.5, 1.0)) + 0.05;
@@ -305,7 +306,8 @@ fn run(motor: &Motor, law: &Law, fault: &Fault, edges: usize, k: usize, dice: &m
     let config = law.running(fault);
     let pitch = TAU / edges as f64;
     let gain = 1.0 + 0.01 * normal(dice);
-    let course = Course::draw(dice, dice.clone().even(0.35, 0.6) * motor.crest / pitch, edges as f64);
+    let most = dice.even(0.35, 0.6) * motor.crest / pitch;
+    let course = Course::draw(dice, most, edges as f64);
     let phase = dice.even(0.0, 1.0);
     let mut rotor = Rotor::at(motor, 0.0);
     let mut counter = Counter { seen: 0.0, cell: 0, sense: 0, count: 0 };

@@ -33,8 +33,7 @@ pub fn make(seed: u64, request: &Request) -> Result<Made, String> {
     if request.kind == Kind::Closed {
         return loops::make(seed, request);
     }
-    let (scene, hidden) = found(seed, request)?;
-    Ok(scene.made(seed, request.kind, &hidden))
+    drawn(seed, request, false)
 }
 
 /// The same with nothing hidden: same motor, bench and noise.
@@ -45,8 +44,7 @@ pub fn without(seed: u64, request: &Request) -> Result<Made, String> {
     if request.kind == Kind::Closed {
         return loops::make(seed, &Request { effects: vec!["none".to_owned()], ..request.clone() });
     }
-    let (scene, _) = found(seed, request)?;
-    Ok(scene.made(seed, Kind::Null, &[]))
+    drawn(seed, request, true)
 }
 
 /// Effects that can do the same to the same data: together they are no pair.
@@ -82,8 +80,9 @@ fn wanted(seed: u64, request: &Request) -> Result<Vec<&'static str>, String> {
     })
 }
 
-fn found(seed: u64, request: &Request) -> Result<(Scene, Vec<Effect>), String> {
+fn drawn(seed: u64, request: &Request, clean: bool) -> Result<Made, String> {
     let wanted = wanted(seed, request)?;
+    let just_that = request.rho.is_some();
     for draw in 0..DRAWS {
         let mut dice = Dice::new(seed, &format!("d {} {draw}", request.kind.word()));
         let motor = Motor::draw(&mut dice);
@@ -91,29 +90,28 @@ fn found(seed: u64, request: &Request) -> Result<(Scene, Vec<Effect>), String> {
         if !wanted.iter().all(|n| bench.could_show(n)) {
             continue;
         }
-        let mut scene = Scene { motor, bench, nuisances: Vec::new(), seed: dice.whole(0, usize::MAX - 1) as u64 };
-        let bare = scene.view(&scene.probed(), Motor::PARAMETERS);
-        let quiet = scene.quiet_floor(&bare.runs);
-        let mut nuisances = Vec::new();
-        for (name, form) in NUISANCES {
-            let effect = Effect::draw(name, &mut dice).expect("it is in the library").in_form(form);
-            let rho = dice.decade(NUISANCE_RHO[0], NUISANCE_RHO[1]);
-            if scene.bench.could_show(name) {
-                // A run's own gain hides an asymmetry, and nothing that turns with the shaft.
-                let floor = if name == "direction-asymmetry" { bare.floor } else { quiet };
-                nuisances.push(bare.slight(effect, rho, floor));
-            }
+        let scene = Scene { motor, bench, nuisances: Vec::new(), seed: dice.whole(0, usize::MAX - 1) as u64 };
+        let scene = scene.with_nuisances(&mut dice);
+        if wanted.is_empty() {
+            return Ok(scene.made(seed, Kind::Null, &[], &scene.view(&scene.bench.kept(), 0)));
         }
-        scene.nuisances = nuisances;
-        let view = scene.view(&scene.probed(), if wanted.is_empty() { 0 } else { Motor::PARAMETERS });
-        let mut hidden = Vec::new();
+        let probe = scene.view(&scene.probed(), Motor::PARAMETERS);
+        let mut near = Vec::new();
         for name in &wanted {
             let effect = Effect::draw(name, &mut dice).ok_or_else(|| format!("no effect {name}"))?;
             let rho = dice.decade(1.05, 5.0);
-            hidden.extend(view.sized(effect, request.rho.unwrap_or(rho), request.rho.is_some()));
+            let rho = request.rho.unwrap_or(rho);
+            near.extend(probe.sized(effect, rho, just_that).map(|e| (e, rho)));
         }
+        if near.len() < wanted.len() {
+            continue;
+        }
+        // A few runs say about how large; all of them say it.
+        let view = scene.view(&scene.bench.kept(), Motor::PARAMETERS);
+        let hidden: Vec<Effect> = near.into_iter().filter_map(|(e, rho)| view.sized(e, rho, just_that)).collect();
         if hidden.len() == wanted.len() {
-            return Ok((scene, hidden));
+            let (kind, hidden) = if clean { (Kind::Null, &[][..]) } else { (request.kind, &hidden[..]) };
+            return Ok(scene.made(seed, kind, hidden, &view));
         }
     }
     Err(format!("seed {seed}: {} shows on none of {DRAWS} benches", wanted.join(" and ")))
@@ -131,6 +129,24 @@ struct Scene {
 impl Scene {
     fn dice(&self, k: usize, purpose: &str) -> Dice {
         Dice::new(self.seed.wrapping_add(0x9e37_79b9 * (k as u64 + 1)), purpose)
+    }
+
+    /// With what every motor has a little of.
+    fn with_nuisances(mut self, dice: &mut Dice) -> Self {
+        let bare = self.view(&self.probed(), 1);
+        let quiet = self.quiet_floor(&bare.runs);
+        let mut nuisances = Vec::new();
+        for (name, form) in NUISANCES {
+            let effect = Effect::draw(name, dice).expect("it is in the library").in_form(form);
+            let rho = dice.decade(NUISANCE_RHO[0], NUISANCE_RHO[1]);
+            if self.bench.could_show(name) {
+                // A run's own gain hides an asymmetry, and nothing that turns with the shaft.
+                let floor = if name == "direction-asymmetry" { bare.floor } else { quiet };
+                nuisances.push(bare.slight(effect, rho, floor));
+            }
+        }
+        self.nuisances = nuisances;
+        self
     }
 
     /// What acts in all: what every motor has a little of, and what is hidden.
@@ -264,9 +280,7 @@ impl Scene {
         runs.par_iter().map(floor).collect::<Vec<Floor>>().into_iter().fold(Floor::default(), Floor::with).rpm()
     }
 
-    fn made(&self, seed: u64, kind: Kind, hidden: &[Effect]) -> Made {
-        let kept = self.bench.kept();
-        let view = self.view(&kept, if hidden.is_empty() { 0 } else { Motor::PARAMETERS });
+    fn made(&self, seed: u64, kind: Kind, hidden: &[Effect], view: &View) -> Made {
         let all = self.all(hidden);
         let pasts = self.pasts(&all);
         let run = |k: &usize| {
@@ -282,7 +296,7 @@ impl Scene {
                 record: self.record(*k, pasts[*k], &all, self.bench.spread),
             }
         };
-        let runs = kept.par_iter().map(run).collect();
+        let runs = view.runs.par_iter().map(run).collect();
         let effects = hidden.iter().map(|e| Hidden {
             name: e.name.to_owned(),
             form: e.form.to_owned(),
