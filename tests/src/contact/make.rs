@@ -175,8 +175,7 @@ impl Scene {
     fn ride(
         &self,
         motor: &Motor,
-        k: usize,
-        past: Past,
+        (k, past): (usize, Past),
         all: &[Effect],
         gain: f64,
         until: f64,
@@ -216,7 +215,7 @@ impl Scene {
         let (wheel, recorder) = (self.wheel(all), self.recorder(k, all));
         let mut angles = Vec::new();
         let until = recorder.seen(recorder.record_s) + 0.01;
-        self.ride(motor, k, past, all, 1.0, until, &mut |step| {
+        self.ride(motor, (k, past), all, 1.0, until, &mut |step| {
             let dt = step.t[1] - step.t[0];
             while angles.len() as f64 * GRID_S <= step.t[1] {
                 angles.push(step.angle_at(((angles.len() as f64 * GRID_S - step.t[0]) / dt).clamp(0.0, 1.0)));
@@ -232,7 +231,7 @@ impl Scene {
         let (wheel, recorder) = (self.wheel(all), self.recorder(k, all));
         let gain = 1.0 + spread * super::smooth::normal(&mut self.dice(k, "gain")).clamp(-3.0, 3.0);
         let mut edges = Edges::new(&wheel, self.start(k));
-        self.ride(&self.motor, k, past, all, gain, 1.06 * recorder.record_s + 0.3, &mut |step| edges.step(step));
+        self.ride(&self.motor, (k, past), all, gain, 1.06 * recorder.record_s + 0.3, &mut |step| edges.step(step));
         recorder.write(edges.first, &edges.times, &mut self.dice(k, "samples"))
     }
 
