@@ -1,7 +1,7 @@
 //! The suite: data sets of the generators through the `twum` command, as a user calls it, and the tables of what came out.
 //!
 //! ```text
-//! suite --generator a|b|c [--kind KIND]... [--count N] [--from SEED] [--shard I/N] [--jobs J] [--twum PATH] [--twins N] --out DIR
+//! suite --generator a|b|c|d [--kind KIND]... [--count N] [--from SEED] [--shard I/N] [--jobs J] [--twum PATH] [--twins N] --out DIR
 //! suite --table DIR... [--list] [--write-docs [FILE]]
 //! ```
 //!
@@ -127,7 +127,7 @@ fn asked() -> Result<Asked, String> {
         }
     }
     if asked.generators.is_empty() {
-        // C is the one that nothing may be chosen on.
+        // Nothing may be chosen on C and D; C is the one that is documented.
         asked.generators.push("c".to_owned());
     }
     if asked.kinds.is_empty() {

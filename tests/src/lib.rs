@@ -1,17 +1,19 @@
 //! Independent sources of measurement folders in which effects are hidden.
 //!
 //! Nothing here is shared with the motor model of the host: the equations, the solver and the forms of the effects are
-//! this crate's own, so a diagnosis that names an effect found here did not look into a mirror. There are three, written
+//! this crate's own, so a diagnosis that names an effect found here did not look into a mirror. There are four, written
 //! apart from one another:
 //!
 //! - `carrier` to `tracking` below: one motor, checked at carrier resolution, one design (see [`experiment`]);
 //! - [`rotor`]: any motor of the kind, its rotor equation integrated within each PWM period;
-//! - [`profile`]: no rotor equation, but how speed rises and falls in a period, as smooth random curves.
+//! - [`profile`]: no rotor equation, but how speed rises and falls in a period, as smooth random curves;
+//! - [`contact`]: a rotor on a travelling wave, through a contact whose torque over the slip is drawn for each motor.
 //!
-//! The last two write [`folder`]s with a [`truth`] beside each, and share with one another that format and the
-//! definition of an effect's [`strength`], no more.
+//! The last three write [`folder`]s with a [`truth`] beside each, and share with one another that format and the
+//! definition of an effect's [`strength`]; [`contact`] takes its source of random numbers from [`profile`]. No more.
 
 pub mod carrier;
+pub mod contact;
 pub mod experiment;
 pub mod first;
 pub mod folder;

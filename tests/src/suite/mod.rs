@@ -1,16 +1,16 @@
 //! The suite: data sets of the generators through the `twum` command as a user calls it, and the tables of what came out.
 //!
-//! Generators A and B may be looked at while priors and numbers of the diagnosis are chosen; C is for reporting alone.
+//! Generators A and B may be looked at while priors and numbers of the diagnosis are chosen; C and D are for reporting alone.
 
 pub mod judge;
 pub mod runner;
 pub mod tables;
 
 use crate::truth::{Kind, Made, Request};
-use crate::{first, profile, rotor};
+use crate::{contact, first, profile, rotor};
 
 /// The generators the suite knows.
-pub const GENERATORS: [&str; 3] = ["a", "b", "c"];
+pub const GENERATORS: [&str; 4] = ["a", "b", "c", "d"];
 
 /// One data set to be made and diagnosed.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -53,6 +53,8 @@ pub fn make(generator: &str, seed: u64, request: &Request, clean: bool) -> Resul
         ("b", true) => rotor::make::without(seed, request),
         ("c", false) => profile::make(seed, request),
         ("c", true) => profile::make::without(seed, request),
+        ("d", false) => contact::make(seed, request),
+        ("d", true) => contact::make::without(seed, request),
         (other, _) => Err(format!("no generator {other}: one of {}", GENERATORS.join(", "))),
     }
 }
