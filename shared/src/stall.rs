@@ -77,7 +77,7 @@ impl Rules {
     /// What a tick at this duty owes.
     const fn owed(&self, duty: u32) -> u32 {
         // A duty has 15 bits after the point, its square 30.
-        if duty < self.start { upper(duty * duty << 2, self.square) } else { upper(duty << 16, self.full) << 1 }
+        if duty < self.start { upper((duty * duty) << 2, self.square) } else { upper(duty << 16, self.full) << 1 }
     }
 }
 
@@ -195,7 +195,7 @@ mod tests {
             assert_eq!(l.validate(), Ok(()));
             let mut stall = Stall::new(&configuration);
             // The budget's drive, of which no more than the product of its duty and time passes without an edge.
-            let budget_us = u64::from(stall_duty) * u64::from(stall_ms) * 1_000 >> 15;
+            let budget_us = (u64::from(stall_duty) * u64::from(stall_ms) * 1_000) >> 15;
             let within = budget_us / u64::from(period_us) + 2;
             assert!((0..within).any(|_| stall.check(Duty::FULL, 0)), "{configuration:?}");
             assert!(!stall.check(Duty::OFF, u32::MAX), "{configuration:?}");
