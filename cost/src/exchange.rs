@@ -18,7 +18,7 @@ pub const SPEC_BYTES: usize = 128;
 /// A tick's inputs: target, its rate, position.
 pub const TICK_BYTES: usize = 12;
 /// A tick's outputs.
-pub const ROW_BYTES: usize = 20;
+pub const ROW_BYTES: usize = 24;
 
 /// What became of one tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,10 +35,14 @@ pub struct Row {
     pub directions: u8,
     /// The doubles' PWM value.
     pub doubles_pwm: u8,
+    /// Whether the ticks so far are a stall: 1, or 0.
+    pub stalled: u16,
     /// Instructions of the step. Zero from the host, which does not count.
     pub step_cost: u16,
     /// Instructions of the doubles.
     pub doubles_cost: u16,
+    /// Instructions of the judgement of a stall.
+    pub stall_cost: u16,
 }
 
 impl Row {
@@ -53,6 +57,8 @@ impl Row {
         (bytes[14], bytes[15]) = (self.directions, self.doubles_pwm);
         bytes[16..18].copy_from_slice(&self.step_cost.to_le_bytes());
         bytes[18..20].copy_from_slice(&self.doubles_cost.to_le_bytes());
+        bytes[20..22].copy_from_slice(&self.stalled.to_le_bytes());
+        bytes[22..24].copy_from_slice(&self.stall_cost.to_le_bytes());
         bytes
     }
 
@@ -68,6 +74,8 @@ impl Row {
             doubles_pwm: b[15],
             step_cost: u16::from_le_bytes([b[16], b[17]]),
             doubles_cost: u16::from_le_bytes([b[18], b[19]]),
+            stalled: u16::from_le_bytes([b[20], b[21]]),
+            stall_cost: u16::from_le_bytes([b[22], b[23]]),
         }
     }
 }

@@ -7,6 +7,7 @@ use semihosting::fs::File;
 use semihosting::io::{self, Read, Write};
 use twum_shared::frame::MAX_ENCODED;
 use twum_shared::message::{BLOCK_SAMPLES, DeviceMessage};
+use twum_shared::stall::Stall;
 use twum_shared::step::{Config, ConfigSpec, Inputs, Outputs, State};
 
 /// The machine's semihosting calls are slow: ticks are read and rows written this many at a time.
@@ -60,9 +61,10 @@ impl Files {
     }
 
     fn work(&mut self, config: &Config, ticks: usize, telemetry: bool) -> io::Result<()> {
-        let (mut state, mut doubles) = (State::REST, Doubles::default());
+        let mut loops =
+            Loops { state: State::REST, doubles: Doubles::default(), stall: work::judge(config), position: 0 };
         let mut block: heapless::Vec<(Inputs, Outputs), BLOCK_SAMPLES> = heapless::Vec::new();
-        let mut block_state = state;
+        let mut block_state = loops.state;
         let mut tick = 0;
         while tick < ticks {
             let batch = BATCH.min(ticks - tick);
@@ -71,9 +73,9 @@ impl Files {
             for (seen, row) in inputs[..batch].iter().zip(&mut rows) {
                 let seen = exchange::tick_from_bytes(seen);
                 if block.is_empty() {
-                    block_state = state;
+                    block_state = loops.state;
                 }
-                let (decided, became) = one(config, &mut state, &mut doubles, seen);
+                let (decided, became) = one(config, &mut loops, seen);
                 *row = became.to_bytes();
                 tick += 1;
                 if telemetry && block.push((seen, decided)).is_ok() && block.is_full() {
@@ -96,8 +98,21 @@ impl Files {
     }
 }
 
-fn one(config: &Config, state: &mut State, doubles: &mut Doubles, seen: Inputs) -> (Outputs, Row) {
+/// What the ticks of a run carry on.
+struct Loops {
+    state: State,
+    doubles: Doubles,
+    stall: Stall,
+    position: i32,
+}
+
+fn one(config: &Config, loops: &mut Loops, seen: Inputs) -> (Outputs, Row) {
+    let Loops { state, doubles, stall, position } = loops;
     let (decided, step_cost) = count(|| work::fixed_point(black_box(config), black_box(&mut *state), black_box(seen)));
+    let edges = seen.position.wrapping_sub(*position).unsigned_abs();
+    *position = seen.position;
+    let duty = decided.duty(config);
+    let (stalled, stall_cost) = count(|| work::stalled(black_box(&mut *stall), black_box(duty), black_box(edges)));
     let ((pwm, clockwise), doubles_cost) =
         count(|| black_box(&mut *doubles).tick(black_box(seen.target), black_box(seen.position)));
     let row = Row {
@@ -109,6 +124,8 @@ fn one(config: &Config, state: &mut State, doubles: &mut Doubles, seen: Inputs) 
         doubles_pwm: pwm as u8,
         step_cost: step_cost as u16,
         doubles_cost: doubles_cost as u16,
+        stalled: u16::from(stalled),
+        stall_cost: stall_cost as u16,
     };
     (decided, row)
 }

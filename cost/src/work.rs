@@ -1,16 +1,30 @@
 //! What is measured. Both halves call these, so that they do the same work.
 
-use twum_shared::Direction;
 use twum_shared::encoder::Edge;
 use twum_shared::frame::{self, Header, MAX_ENCODED};
-use twum_shared::message::{BITS_WORDS, BLOCK_EDGES, BLOCK_SAMPLES, BitsBlock, ControlBlock, ControlSample};
+use twum_shared::message::{
+    BITS_WORDS, BLOCK_EDGES, BLOCK_SAMPLES, BitsBlock, Configuration, ControlBlock, ControlSample,
+};
 use twum_shared::message::{DeviceMessage, EdgesBlock};
+use twum_shared::stall::Stall;
 use twum_shared::step::{self, Config, Inputs, Outputs, State};
+use twum_shared::{Direction, Duty};
 
 /// The fixed-point step, inlined as it is in the control interrupt.
 #[inline(always)]
 pub fn fixed_point(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
     step::step(config, state, inputs)
+}
+
+/// The judge of the encoder, by the default limits.
+pub fn judge(config: &Config) -> Stall {
+    Stall::new(&Configuration::with_control(*config.spec()))
+}
+
+/// The judgement of a tick, inlined as it is in the control interrupt.
+#[inline(always)]
+pub fn stalled(stall: &mut Stall, duty: Duty, edges: u32) -> bool {
+    stall.check(duty, edges)
 }
 
 /// The position controller's arithmetic as the Arduino has it (thesis C.2, `compute`), in doubles, from its formulas.

@@ -72,6 +72,51 @@ fn a_load_beyond_what_the_contact_transmits_is_refused() {
 }
 
 #[test]
+fn a_number_that_is_none_or_out_of_all_measure_is_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    measurement(dir.path(), "m", "velocity", "time_us,rpm\n0,17\n500000,17.1\n1000000,17\n");
+    let force_factor = |loaded| ["identify", "force-factor", "m", "--loaded", loaded];
+    for (arguments, says) in [
+        (&["experiment", "plan", "--seconds", "nan"][..], "--seconds: NaN s is outside 0.001 to 3600 s"),
+        (&force_factor("1.0:0.004:1.8e19"), "rpm must be within 10 N m and 1000 rpm"),
+        (&force_factor("1.0:0.015:65535"), "rpm must be within 10 N m and 1000 rpm"),
+        (&force_factor("1.0:1e-300:0"), "a stall must be at duty 1 and a torque of 0.000001 N m or more"),
+        (&["model", "speed", "--set", "Ctheta=0.1", "--pwm-hz", "0"], "pwm-hz = 0 is outside 0.1 ..= 20000"),
+        (&["speed", "--port", "sim", "--duty", "0.5", "--pwm-hz", "0"], "`pwm_hz` = 0: 10 to 2000"),
+    ] {
+        let output = limited(dir.path(), arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {:?}, {}", output.status, message(&output));
+        assert!(message(&output).contains(says), "{arguments:?}: {}", message(&output));
+    }
+}
+
+#[test]
+fn damping_as_large_as_it_may_be_gives_a_number() {
+    let dir = tempfile::tempdir().unwrap();
+    for damping in ["Ctheta=0.1", "Ctheta=0.3", "Ctheta=1"] {
+        for solver in ["averaged", "carrier"] {
+            let arguments = [
+                "model",
+                "speed",
+                "--duty",
+                "0.5",
+                "--seconds",
+                "0.04",
+                "--set",
+                damping,
+                "--solver",
+                solver,
+                "--json",
+            ];
+            let output = limited(dir.path(), &arguments);
+            let said = String::from_utf8_lossy(&output.stdout).into_owned();
+            assert_eq!(output.status.code(), Some(0), "{arguments:?}: {:?}, {}", output.status, message(&output));
+            assert!(!said.contains("NaN") && !said.contains("null") && !said.contains("inf"), "{arguments:?}: {said}");
+        }
+    }
+}
+
+#[test]
 fn a_pipe_in_the_place_of_a_file_is_not_waited_for() {
     let dir = tempfile::tempdir().unwrap();
     if !Command::new("mkfifo").arg(dir.path().join("pipe")).status().is_ok_and(|status| status.success()) {

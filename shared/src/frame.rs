@@ -9,7 +9,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Version of the protocol. Another version is refused at the first frame.
-pub const PROTOCOL_VERSION: u8 = 2;
+pub const PROTOCOL_VERSION: u8 = 3;
 /// Longest frame before COBS, bytes.
 pub const MAX_PLAIN: usize = 600;
 /// Longest frame on the line, its separator included, bytes.

@@ -20,6 +20,7 @@ pub mod frame;
 pub mod message;
 pub mod reference;
 pub mod safety;
+pub mod stall;
 pub mod step;
 
 pub use duty::{Direction, Duty};

@@ -31,6 +31,11 @@ pub struct Limits {
     pub late_ticks: u8,
     /// Capture items lost in a row that are an overflow.
     pub lost_items: u16,
+    /// The slowest speed that counts as turning, in percent of the motor's in proportion to the duty. An encoder that shows less
+    /// is taken for one that fails, one that shows more is believed.
+    pub slowest_percent: u8,
+    /// Duty (1/32768ths) below which a motor may be slower still, in proportion to the duty once more; zero for one that is not.
+    pub slow_start_duty: u16,
 }
 
 /// No bound on the position lies farther out than where references end, counts.
@@ -38,7 +43,9 @@ const FARTHEST: u32 = 1 << 24;
 
 impl Limits {
     /// Limits for the 30 mm PCBMotor: 35 rpm at full drive is 233 counts/s, start-up overshoots to 48 rpm (320 counts/s). A
-    /// stall is half drive for 500 ms, a quarter of a second of full drive, in which this motor turns by 52°, 72° at most.
+    /// stall is half drive for 500 ms, a quarter of a second of full drive, in which this motor turns by 52°, 72° at most. The
+    /// slowest speed leaves room for a load that takes three quarters of it, and below a seventh of the duty for a motor that
+    /// takes 6 ms to start in every 20 ms period.
     pub const DEFAULT: Self = Self {
         command_timeout_ms: 500,
         stall_duty: 16_384,
@@ -52,6 +59,8 @@ impl Limits {
         late_tick_us: 100,
         late_ticks: 4,
         lost_items: 2_000,
+        slowest_percent: 25,
+        slow_start_duty: 4_681,
     };
 
     /// Checks that every limit limits, and stops in time.
@@ -77,6 +86,8 @@ impl Limits {
             ("late_ticks", (1..=20).contains(&self.late_ticks)),
             // 5 s of a default stream.
             ("lost_items", (1..=10_000).contains(&self.lost_items)),
+            ("slowest_percent", (1..=100).contains(&self.slowest_percent)),
+            ("slow_start_duty", (0..=32_768).contains(&self.slow_start_duty)),
         ];
         match within.into_iter().find(|(_, limits)| !limits) {
             Some((name, _)) => Err(LimitsError(name)),
@@ -98,7 +109,7 @@ mod tests {
     fn the_default_limits_are_valid_and_each_that_is_out_of_bounds_is_refused() {
         assert_eq!(Limits::DEFAULT.validate(), Ok(()));
         type Change = fn(&mut Limits);
-        let broken: [(Change, &str); 23] = [
+        let broken: [(Change, &str); 26] = [
             (|l| l.command_timeout_ms = 0, "command_timeout_ms"),
             (|l| l.command_timeout_ms = 2_001, "command_timeout_ms"),
             (|l| l.stall_duty = 0, "stall_duty"),
@@ -122,6 +133,9 @@ mod tests {
             (|l| l.late_ticks = 21, "late_ticks"),
             (|l| l.lost_items = 0, "lost_items"),
             (|l| l.lost_items = 10_001, "lost_items"),
+            (|l| l.slowest_percent = 0, "slowest_percent"),
+            (|l| l.slowest_percent = 101, "slowest_percent"),
+            (|l| l.slow_start_duty = 32_769, "slow_start_duty"),
         ];
         let mut widest = Limits::DEFAULT;
         (widest.command_timeout_ms, widest.stall_duty, widest.stall_ms) = (2_000, 32_768, 2_000);
@@ -129,6 +143,7 @@ mod tests {
         (widest.overspeed_counts_s, widest.lost_items) = (10_000, 10_000);
         (widest.position_min, widest.position_max) = (-(FARTHEST as i32), FARTHEST as i32);
         (widest.late_tick_us, widest.late_ticks) = (1_000, 20);
+        (widest.slowest_percent, widest.slow_start_duty) = (100, 32_768);
         assert_eq!(widest.validate(), Ok(()));
         for (change, name) in broken {
             let mut limits = Limits::DEFAULT;

@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 use twum_host::compare::replay::replay_recording;
 use twum_host::record::decode::{Decoder, Item};
-use twum_shared::message::{HostMessage, TrackRun};
+use twum_shared::message::{Configuration, DeviceMessage, HostMessage, TrackRun};
 use twum_shared::reference::Reference;
+use twum_shared::step::ConfigSpec;
 
 /// Made by the last program of version 1: `twum track --port sim --control thesis --seconds 1.5 --out protocol-1.mcap`. What is
 /// expected of it here is what that program's own `twum replay` said.
@@ -20,6 +21,43 @@ fn a_recording_of_version_1_replays_bit_for_bit() {
     let link = found.link;
     assert_eq!((link.device_frames, link.host_frames, link.broken_frames, link.missing_sequences), (267, 39, 0, 0));
     assert_eq!((found.file.frames, found.file.damaged_places), (306, 0));
+}
+
+/// Made by the last program of version 2, in the same way.
+fn version_2() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data/protocol-2.mcap")
+}
+
+#[test]
+fn a_recording_of_version_2_replays_bit_for_bit() {
+    let found = replay_recording(version_2()).unwrap();
+    assert_eq!((found.replay.checked, found.replay.mismatched, found.replay.runs), (3_000, 0, 1));
+    assert_eq!((found.replay.gaps, found.replay.missing, found.replay.unconfigured), (0, 0, 0));
+    let link = found.link;
+    assert_eq!((link.device_frames, link.host_frames, link.broken_frames, link.missing_sequences), (261, 32, 0, 0));
+    assert_eq!((found.file.frames, found.file.damaged_places), (293, 0));
+}
+
+#[test]
+fn a_configuration_of_version_2_is_what_it_was_and_as_slow_as_the_motor_might_be_then() {
+    let expected = Configuration::with_control(ConfigSpec::THESIS);
+    let mut decoder = Decoder::open(version_2()).unwrap();
+    let (mut set, mut in_force) = (0, 0);
+    while let Some(item) = decoder.next_item().unwrap() {
+        match item {
+            Item::Host { message: HostMessage::Configure(configuration), .. } => {
+                assert_eq!(configuration, expected);
+                set += 1;
+            }
+            Item::Device { message: DeviceMessage::Configured(configuration), .. } => {
+                assert_eq!(configuration, expected);
+                in_force += 1;
+            }
+            Item::Broken { error, .. } => panic!("{error}"),
+            _ => {}
+        }
+    }
+    assert!(set == 1 && in_force >= 1, "{set}, {in_force}");
 }
 
 #[test]

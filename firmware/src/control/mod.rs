@@ -6,7 +6,6 @@ mod monitor;
 mod run;
 mod safety;
 mod session;
-mod stall;
 mod status;
 
 use crate::output::{Output, OutputStage};

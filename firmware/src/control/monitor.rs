@@ -1,8 +1,8 @@
 //! The fault monitors of the control interrupt: what is seen each tick against the configured limits.
 
-use super::stall::Stall;
 use twum_shared::message::Configuration;
 use twum_shared::safety::Limits;
+use twum_shared::stall::Stall;
 use twum_shared::{Direction, Duty, Fault};
 
 /// Speed is judged over this window.
@@ -98,7 +98,7 @@ impl Monitor {
         if self.against >= u32::from(limits.wrong_direction_counts) {
             return Some(Fault::WrongDirection);
         }
-        if self.stall.check(period_us, seen.duty, edges) {
+        if self.stall.check(seen.duty, edges) {
             return Some(Fault::EncoderStall);
         }
         if seen.position < limits.position_min || seen.position > limits.position_max {

@@ -104,10 +104,10 @@ pub enum TorqueError {
     },
 }
 
-/// Beyond what any motor of this kind does (mN m, and some tens of rpm) by three orders of magnitude: such a row is a mistake,
-/// and has no linearisation.
+/// Beyond what any motor of this kind does (mN m, and some tens of rpm) by three orders of magnitude, and by more than one: such a row
+/// is a mistake, has no linearisation, and a model that turns so fast takes minutes.
 const MAX_LOAD_NM: f64 = 10.0;
-const MAX_RPM: f64 = 100_000.0;
+const MAX_RPM: f64 = 1_000.0;
 /// A motor that a micronewton metre stops turns nothing: its friction alone is more.
 const MIN_STALL_NM: f64 = 1e-6;
 

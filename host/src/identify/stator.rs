@@ -323,7 +323,8 @@ fn parasitic_hint(sweep: &Sweep, plain: &Fit) -> Option<String> {
     let layout = super::circuit::Layout { parasitics: true, ..plain.layout };
     let full = fit::fit(sweep, layout, &plain.circuit())?;
     let (c, m) = (full.circuit(), *full.circuit().main_mode()?);
-    (full.residual_rel < 0.7 * plain.residual_rel).then(|| {
+    // Leads that explain the resonance away altogether explain nothing.
+    (m.q.is_finite() && full.residual_rel < 0.7 * plain.residual_rel).then(|| {
         format!(
             "the residual has structure: leads ({:.3} ohm, {:.3e} H) and a loss tangent of {:.4} lower it from {:.2} % to \
              {:.2} % and would make fs {:.0} Hz and Q {:.0}; use --parasitics if they are real",

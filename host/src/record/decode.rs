@@ -1,7 +1,7 @@
 //! From the raw frames of a recording to messages, with every loss counted.
 
+use super::earlier::{self, Recorded};
 use super::order::{Arrival, Order};
-use super::protocol_1::{self, Recorded};
 use super::store::{Entry, Integrity, Metadata, Reader, Sender, StoreError};
 use serde::Serialize;
 use std::fs::File;
@@ -169,5 +169,5 @@ fn decode<M: Recorded>(bytes: &[u8]) -> Result<(Header, M), FrameError> {
     let Some((0, content)) = bytes.split_last() else { return Err(FrameError::NotAFrame) };
     let block = block.get_mut(..content.len()).ok_or(FrameError::TooLong)?;
     block.copy_from_slice(content);
-    protocol_1::decode(block)
+    earlier::decode(block)
 }

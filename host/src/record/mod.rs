@@ -3,6 +3,7 @@
 pub mod check;
 pub mod convert;
 pub mod decode;
+mod earlier;
 pub mod export;
 mod gate;
 pub mod live;
@@ -12,7 +13,6 @@ pub mod measurement;
 pub mod order;
 pub mod pieces;
 pub mod plot;
-mod protocol_1;
 pub mod recording;
 pub mod series;
 pub mod store;
