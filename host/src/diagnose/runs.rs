@@ -142,23 +142,19 @@ fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcome {
     let scorer = Scorer::new(ground, settings.seed);
     let root = visited.iter().find(|s| s.parts.is_empty()).unwrap_or(&visited[0]);
     let alike = |a: usize, b: usize| ground.effects[a].looks_like(&ground.effects[b]);
-    let own_form = |place: &str, effect: usize| {
-        let over = ground.effects[effect].coordinate;
-        ground.terms.iter().any(|t| t.lives_in == place && t.coordinates.contains(&over))
-    };
     let temperature = if ground.problem.closed() { CLOSED_TEMPERATURE } else { TEMPERATURE };
     let mut standing = visited.to_vec();
     let mut uncertain: Vec<(usize, f64)> = Vec::new();
     let mut judged = loop {
-        let judged =
-            judge(&standing, root, temperature, &alike, &own_form, &|k, tau| ground.level.log_prior_of(k, tau));
+        let judged = judge(&standing, root, temperature, &alike, &|k, tau| ground.level.log_prior_of(k, tau));
         let struck = uncertain_effects(ground, &scorer, &standing, root, &judged, settings.seed);
         if struck.is_empty() {
             break judged;
         }
         uncertain.extend(struck.iter().map(|e| (*e, inclusion(&judged, *e))));
-        // What leant on them is judged anew without them.
-        standing.retain(|s| s.key().iter().all(|e| !struck.contains(e)));
+        // What leant on them is judged anew without them, and what looks like them does not take their place.
+        let gone = |e: &usize| struck.iter().any(|s| s == e || alike(*s, *e) && !judged.named.contains(e));
+        standing.retain(|s| !s.key().iter().any(gone));
     };
     let sets = standing.as_slice();
     if judged.named.is_empty() && judged.one_of.is_empty() && judged.lives_in.is_empty() {

@@ -47,13 +47,12 @@ pub struct Judgement {
 }
 
 /// Judges the visited sets, best first. `root` is the set without effects, `temperature` what leads are divided by; `alike` says which
-/// effects do the same to the data but for their form, `own_form` whether what lives somewhere may be another form of an effect.
+/// effects do the same to the data but for their form.
 pub fn judge(
     sets: &[Set],
     root: &Set,
     temperature: f64,
     alike: &dyn Fn(usize, usize) -> bool,
-    own_form: &dyn Fn(&str, usize) -> bool,
     log_prior_of_spread: &dyn Fn(usize, f64) -> f64,
 ) -> Judgement {
     let best = &sets[0];
@@ -121,9 +120,7 @@ pub fn judge(
         let course = best.courses.iter().max_by(|a, b| a.1.total_cmp(&b.1));
         lives_in.extend(course.filter(|c| c.1 > MOST_OF_A_COURSE).copied());
     }
-    // What lives in a named cause's own coordinate is a matter of its form.
-    let others = lives_in.iter().filter(|l| !named.iter().any(|e| own_form(l.0, *e)));
-    let beside: f64 = others.map(|l| l.1).sum();
+    let beside: f64 = lives_in.iter().map(|l| l.1).sum();
     // A cause that makes the runs differ by more than they did is none.
     let worse = (1..NAMES.len()).any(|k| {
         log_prior_of_spread(k, best.weighed.taus[k]) < -LARGEST_SPREAD && best.weighed.taus[k] > root.weighed.taus[k]
