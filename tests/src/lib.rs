@@ -15,6 +15,7 @@ pub mod carrier;
 pub mod experiment;
 pub mod first;
 pub mod folder;
+pub mod friction;
 pub mod hidden;
 pub mod motor;
 pub mod noise;
