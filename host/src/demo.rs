@@ -143,7 +143,7 @@ pub fn run(folder: &Path, hide: &Hide, seed: u64, mut progress: impl FnMut(&str)
             figure.write(folder.path().join(format!("{name}.{extension}")))?;
         }
         let summary = summarise(name, &ticks, link, replay);
-        page = page.heading(&format!("Controller `{name}`")).figure(&figure, "Position, error and duty of the run.")?;
+        page = page.heading(&format!("Controller `{name}`")).figure(figure, "Position, error and duty of the run.");
         summaries.push(summary);
     }
     let page = page.heading("Table").table(&table_header(), &table_rows(&summaries));

@@ -8,14 +8,14 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 /// Exit code and command line; `PORT` stands for the pseudo-terminal. A line with `--json` is kept by its number.
-const DAY: [(i32, &str); 42] = [
+const DAY: [(i32, &str); 46] = [
     (0, ""),
-    (0, "config path"),
+    (0, "config path --json"),
     (0, "config defaults --json"),
     (0, "ports --json"),
     (0, "info --port PORT"),
     (0, "info --port PORT --json"),
-    (0, "align --port PORT"),
+    (0, "align --port PORT --json"),
     (0, "speed --port PORT --duty 50% --seconds 2 --out d50.mcap --json"),
     (2, "speed --port PORT --duty 0.5 --seconds 2 --out d50.mcap"),
     (2, "speed --port PORT --duty 150%"),
@@ -26,12 +26,13 @@ const DAY: [(i32, &str); 42] = [
     (2, "track --port PORT --motor simple --seconds 1"),
     (2, "track --port PORT --motor pcbmotor-31mm --seconds 1"),
     (2, "track --port PORT --flavour thesis --seconds 1"),
-    (0, "stop --port PORT"),
+    (0, "stop --port PORT --json"),
     (0, "capture --port PORT --seconds 1 --streams bits edges --out idle.mcap"),
     (0, "live sine.mcap --once"),
     (0, "replay sine.mcap"),
     (0, "velocity d50.mcap --json"),
     (0, "velocity d50.mcap --plot d50.png"),
+    (0, "velocity d50.mcap --plot d50.html"),
     (0, "compare d50.mcap --flavour physical --json"),
     (0, "compare sine.mcap --flavour physical --json"),
     (0, "plot sine.mcap sine.svg"),
@@ -45,10 +46,13 @@ const DAY: [(i32, &str); 42] = [
     (0, "compare first --flavour physical --json --report first.html"),
     (0, "plot first first.svg"),
     (0, "diagnose first --quick --json"),
+    (0, "diagnose first --quick --flavour measured --json"),
     (0, "diagnose first --quick --report why.html"),
     (0, "experiment plan first --json"),
     (0, "model speed --duty 0.5 --json"),
     (0, "model loop --seconds 2 --json"),
+    (0, "neck --exercise rotation --report neck.html --json"),
+    (0, "identify force-factor first --json"),
     (0, "completions bash"),
     (0, "man"),
 ];
@@ -128,7 +132,12 @@ fn every_command_does_the_right_thing_and_no_figure_has_two_values() {
         assert_eq!(run["id"], other["id"]);
         assert_eq!(number(run, "mean_rpm").abs(), number(&other["measured"], "mean_rpm").abs());
     }
-    let cause = answer("diagnose first");
+    for page in ["d50.html", "first.html", "why.html", "neck.html"] {
+        let size = std::fs::metadata(dir.path().join(page)).unwrap().len();
+        assert!((60_000..4_000_000).contains(&size), "{page}: {size} bytes");
+    }
+    assert_eq!(answer("stop")["cleared"], Value::Null);
+    let cause = answer("diagnose first --quick --json");
     assert_eq!(cause["verdict"], "named", "{cause}");
     let named: Vec<&Value> =
         cause["effects"].as_array().unwrap().iter().filter(|e| e["status"] == "named").map(|e| &e["name"]).collect();

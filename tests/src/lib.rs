@@ -17,6 +17,7 @@ pub mod contact;
 pub mod experiment;
 pub mod first;
 pub mod folder;
+pub mod friction;
 pub mod hidden;
 pub mod motor;
 pub mod noise;

@@ -1,85 +1,13 @@
 //! Friction from synthetic torque records with known coefficients, and the messages when something is wrong.
 
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
-use std::fmt::Write as _;
 use std::path::Path;
 use twum_host::identify::friction::{Report, identify};
-
-const SPEEDS: [u32; 7] = [100, 150, 200, 250, 300, 350, 400];
-/// Geometry of the thesis (section A.2.2), the Coulomb travel shortened.
-const TOML: &str =
-    "torque_arm_m = 0.2075\nattachment_radius_m = 0.015725\ncontact_radius_m = 0.013675\nweight_kg = 0.21083
-coulomb_travel_mm = 5.0\nstatic_travel_mm = 1.25\nlead_mm = 2.0\ngear_reduction = 29.0\n";
-
-struct Bench {
-    coulomb: f64,
-    stat: f64,
-    slope_s_m: f64,
-    sample_hz: f64,
-}
-
-const BENCH: Bench = Bench { coulomb: 0.1057, stat: 0.14, slope_s_m: 0.0, sample_hz: 250.0 };
-
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    StandardNormal.sample(rng)
-}
-
-/// Torque at the sensor a unit of friction coefficient, by the levers: µ·m·g·r_contact/r_attach·l.
-fn torque(mu: f64) -> f64 {
-    mu * 0.21083 * 9.80665 * 0.013675 / 0.015725 * 0.2075
-}
-
-/// One record: rest, a climb while wire and arm give, sliding, and slack afterwards; noise, mains hum and a zero offset.
-fn record(rng: &mut ChaCha8Rng, bench: &Bench, rpm: u32, peak: f64, level: f64, travel_mm: f64) -> String {
-    let speed = f64::from(rpm) / 60.0 / 29.0 * 2.0;
-    let (climb, total) = (0.6 / speed, travel_mm / speed);
-    let offset = 0.004 * normal(rng);
-    let mut out = String::from("time_s,torque_nm\n");
-    for i in 0..((3.0 + total + 2.0) * bench.sample_hz) as usize {
-        let t = i as f64 / bench.sample_hz;
-        let shape = match t - 3.0 {
-            s if s < 0.0 => 0.0,
-            s if s < climb => peak * s / climb,
-            s if s < total => level + (peak - level) * (-(s - climb) / 1.5).exp(),
-            _ => 0.0,
-        };
-        let hum = 0.001 * (2.0 * std::f64::consts::PI * 60.0 * t).sin();
-        let _ = writeln!(out, "{t:.4},{:.7}", -(shape + offset + hum + 0.0015 * normal(rng)));
-    }
-    out
-}
-
-fn write(folder: &Path, bench: &Bench, seed: u64) {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    std::fs::write(folder.join("friction.toml"), format!("{TOML}sample_hz = {}\ntorque_sign = -1\n", bench.sample_hz))
-        .unwrap();
-    for set in ["motor", "no-motor", "static"] {
-        std::fs::create_dir(folder.join(set)).unwrap();
-    }
-    for rpm in SPEEDS {
-        let sliding = f64::from(rpm) / 60.0 / 29.0 * 2e-3 * 0.013675 / 0.015725;
-        for trial in 1..=5 {
-            let mu = bench.coulomb + bench.slope_s_m * sliding;
-            let idle = 0.003 * (1.0 + 0.05 * normal(&mut rng));
-            let with = torque(mu) * (1.0 + 0.03 * normal(&mut rng)) + 0.003 * (1.0 + 0.05 * normal(&mut rng));
-            let peak = torque(bench.stat) * (1.0 + 0.03 * normal(&mut rng));
-            for (set, text) in [
-                ("motor", record(&mut rng, bench, rpm, with, with, 5.0)),
-                ("no-motor", record(&mut rng, bench, rpm, idle, idle, 5.0)),
-                ("static", record(&mut rng, bench, rpm, peak, 0.85 * peak, 2.0)),
-            ] {
-                std::fs::write(folder.join(set).join(format!("{rpm}_rpm_{trial}.csv")), text).unwrap();
-            }
-        }
-    }
-}
+use twum_tests::friction::{BENCH, Bench};
 
 fn made(bench: &Bench, seed: u64) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    write(folder.path(), bench, seed);
+    bench.write(folder.path(), seed).unwrap();
     folder
 }
 

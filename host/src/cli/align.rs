@@ -1,7 +1,7 @@
 //! `twum align`.
 
 use super::connect::ConnectArgs;
-use super::output::spinner;
+use super::output::{answer, stage};
 use anyhow::Result;
 use std::process::ExitCode;
 use twum_host::link::bench::align;
@@ -15,15 +15,18 @@ use twum_host::link::bench::align;
 pub struct Args {
     #[command(flatten)]
     connect: ConnectArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs `twum align`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let mut session = args.connect.session()?;
-    let spinner = spinner();
-    spinner.set_message("aligning");
+    let waiting = stage("aligning, some seconds");
     align(&mut session)?;
-    spinner.finish_and_clear();
-    println!("aligned: the rotor stands at the beginning of an encoder pulse, and counts as zero");
+    waiting.finish_and_clear();
+    let words = "aligned: the rotor stands at the beginning of an encoder pulse, and counts as zero";
+    answer(args.json, &serde_json::json!({ "aligned": true }), words);
     Ok(ExitCode::SUCCESS)
 }

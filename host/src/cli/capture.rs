@@ -1,7 +1,7 @@
 //! `twum capture`.
 
 use super::connect::{ConnectArgs, RecordArgs, duration_ms};
-use super::output::spinner;
+use super::output::stage;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -47,14 +47,14 @@ pub fn run(args: Args) -> Result<ExitCode> {
         recording: Some(args.record.out.clone().context("say where to record with --out FILE")?),
         motor: String::new(),
     };
-    let spinner = spinner();
+    let waiting = stage(format!("0 frames of {} s", args.seconds));
     let mut frames = 0u64;
     let outcome = args.connect.perform(experiment, |_| {
         frames += 1;
         if frames.is_multiple_of(10) {
-            spinner.set_message(format!("{frames} frames"));
+            waiting.set_message(format!("{frames} frames of {} s", args.seconds));
         }
     })?;
-    spinner.finish_and_clear();
+    waiting.finish_and_clear();
     args.record.conclude(&outcome, None)
 }

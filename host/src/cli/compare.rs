@@ -1,13 +1,14 @@
 //! `twum compare`.
 
 use super::diagnose::motor_of;
+use super::flavour::FlavourArgs;
+use super::output::stage;
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::compare::closed_loop::{self, ClosedLoop};
 use twum_host::compare::simulation::{Comparison, compare};
-use twum_host::model::parameters::Flavour;
 use twum_host::output::{self, Existing};
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{Measurement, RunKind};
@@ -44,13 +45,12 @@ pub struct Args {
     /// Motor parameter set or file, instead of the measurement's own
     #[arg(long, value_name = "MOTOR")]
     motor: Option<String>,
-    /// Which reading of the motor model is simulated
-    #[arg(long, value_enum, default_value_t)]
-    flavour: Flavour,
+    #[command(flatten)]
+    flavour: FlavourArgs,
     /// Allow this much RMSE of the speed
     #[arg(long, value_name = "RPM")]
     max_rmse_rpm: Option<f64>,
-    /// Draw measured and simulated speeds, or positions of a closed loop, to this file, .svg or .png
+    /// Draw measured and simulated speeds, or positions of a closed loop, to this file, .svg, .png or .html
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Write numbers and pictures to this file, a self-contained HTML page
@@ -84,7 +84,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
             bail!("{} has no run {id}; it has: {}", args.folder.display(), ids.join(", "));
         }
     }
+    let waiting = stage(format!("simulating {} runs", measurement.runs.len()));
     let found = compared(&args, &measurement)?;
+    waiting.finish_and_clear();
     if found.simulation.is_none() && found.closed_loops.is_empty() {
         bail!(
             "{}: nothing to compare: it takes an open-loop run with a duty, or a closed-loop run of control ticks",
@@ -114,7 +116,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
 fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
     let motor = motor_of(measurement, args.motor.as_deref())?
         .context("an ordinary motor has no motor file to simulate: `twum diagnose` takes it")?;
-    let flavour = args.flavour;
+    let flavour = args.flavour.get();
     let is_open_loop = |run: &&twum_host::record::measurement::Run| run.kind == RunKind::Speed && run.duty.is_some();
     let simulation = match measurement.runs.iter().find(is_open_loop) {
         Some(_) => Some(compare(measurement, &motor, flavour)?),

@@ -3,7 +3,10 @@
 
 use super::connect::ConnectArgs;
 use super::defaults;
+use super::output::answer;
 use anyhow::{Context, Result, bail};
+use serde_json::json;
+use std::fmt::Display;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -45,6 +48,9 @@ enum Command {
         /// TOML file, or `-` for standard input
         #[arg(default_value = "-")]
         file: PathBuf,
+        /// Print what changed as JSON
+        #[arg(long)]
+        json: bool,
     },
     /// Show in what the board differs from a file; the exit code is 1 if it does
     Diff {
@@ -53,9 +59,16 @@ enum Command {
         /// TOML file, or `-` for standard input
         #[arg(default_value = "-")]
         file: PathBuf,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
     },
     /// Print where the file of your own defaults is, or would be
-    Path,
+    Path {
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
     /// Print what that file says
     Defaults {
         /// Print JSON
@@ -103,16 +116,23 @@ pub fn run(args: Args) -> Result<ExitCode> {
             }
         }
         Command::Dump { connect } => print!("{}", to_toml(&held(&connect)?)),
-        Command::Load { connect, file } => return load(&connect, &file),
-        Command::Path => println!("{}", defaults::path()?.display()),
+        Command::Load { connect, file, json } => return load(&connect, &file, json),
+        Command::Path { json } => {
+            let path = defaults::path()?;
+            let exists = path.is_file();
+            answer(json, &json!({ "path": path, "exists": exists }), &path.display().to_string());
+        }
         Command::Defaults { json: true } => println!("{}", serde_json::to_string(&defaults::load()?)?),
         Command::Defaults { json: false } => print!("{}", toml::to_string(&defaults::load()?)?),
-        Command::Diff { connect, file } => {
+        Command::Diff { connect, file, json } => {
             let text = read(&file)?;
             let board = held(&connect)?;
             let other = overlay(&board, &text).with_context(|| name(&file))?;
             let different = difference(&board, &other);
-            for (key, board, file) in &different {
+            if json {
+                println!("{}", changes(&different, ["board", "file"]));
+            }
+            for (key, board, file) in different.iter().filter(|_| !json) {
                 println!("{key}: {board} on the board, {file} in the file");
             }
             return Ok(ExitCode::from(u8::from(!different.is_empty())));
@@ -121,7 +141,13 @@ pub fn run(args: Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn load(connect: &ConnectArgs, file: &Path) -> Result<ExitCode> {
+/// What differs, as a list of keys with their two values.
+fn changes<V: Display>(different: &[(String, V, V)], names: [&str; 2]) -> serde_json::Value {
+    let change = |(key, a, b): &(String, V, V)| json!({ "key": key, names[0]: a.to_string(), names[1]: b.to_string() });
+    different.iter().map(change).collect()
+}
+
+fn load(connect: &ConnectArgs, file: &Path, json: bool) -> Result<ExitCode> {
     let text = read(file)?;
     if text.trim().is_empty() {
         bail!("{} is empty", name(file));
@@ -139,7 +165,12 @@ fn load(connect: &ConnectArgs, file: &Path) -> Result<ExitCode> {
         bail!("the board took the configuration, and has {key} = {has}");
     }
     match before {
+        None if json => println!("{}", json!({ "before": null, "changed": null })),
         None => println!("the board had no configuration; it has this one now"),
+        Some(before) if json => {
+            let changed = changes(&difference(&before, &now), ["before", "now"]);
+            println!("{}", json!({ "changed": changed }));
+        }
         Some(before) => {
             let changed = difference(&before, &now);
             changed.iter().for_each(|(key, was, is)| println!("{key}: {was} -> {is}"));

@@ -1,6 +1,6 @@
 //! `twum demo`.
 
-use super::output::{print_table, spinner};
+use super::output::{print_table, stage};
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -30,11 +30,11 @@ pub struct Args {
 /// Runs `twum demo`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let folder = args.out.unwrap_or_else(first_free);
-    let spinner = spinner();
+    let waiting = stage("beginning");
     let seed = args.seed.unwrap_or_else(any_seed);
-    let found = demo::run(&folder, &args.hide, seed, |what| spinner.set_message(what.to_owned()))
+    let found = demo::run(&folder, &args.hide, seed, |what| waiting.set_message(what.to_owned()))
         .with_context(|| format!("the demo in {} did not finish", folder.display()))?;
-    spinner.finish_and_clear();
+    waiting.finish_and_clear();
     if args.json {
         println!("{}", serde_json::to_string_pretty(&found.controllers)?);
     } else {

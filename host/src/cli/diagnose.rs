@@ -1,6 +1,7 @@
 //! `twum diagnose`.
 
 use super::existing::ExistingArgs;
+use super::flavour::FlavourArgs;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
@@ -37,9 +38,8 @@ pub struct Args {
     save_model: Option<PathBuf>,
     #[command(flatten)]
     existing: ExistingArgs,
-    /// Simulation to start from
-    #[arg(long, value_enum, default_value = "physical")]
-    flavour: FlavourArg,
+    #[command(flatten)]
+    flavour: FlavourArgs,
     /// Take an effect out of the library (may be repeated): what would be said if it were not known?
     #[arg(long, value_name = "EFFECT")]
     without: Vec<String>,
@@ -58,14 +58,6 @@ pub struct Args {
     /// A first look: fewer runs, shorter, a smaller null (the answer says what was left out)
     #[arg(long)]
     quick: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum FlavourArg {
-    /// Equations with the listing's errors put right
-    Physical,
-    /// As listed: the rotor coasts while the drive is off
-    Thesis,
 }
 
 /// The runs of a measurement folder or a recording, and what was lost of them.
@@ -109,14 +101,15 @@ pub fn run(args: Args) -> Result<ExitCode> {
         measurements.push(measurement);
         lost.extend(losses);
     }
-    let flavour = if args.flavour == FlavourArg::Thesis { Flavour::Thesis } else { Flavour::Physical };
+    let flavour = args.flavour.get();
     let motor_file = motor_of(&measurements[0], args.motor.as_deref())?;
-    let bar = ProgressBar::new(100)
-        .with_style(ProgressStyle::with_template("{bar:30} {msg}").expect("the template is valid"));
+    let bar = ProgressBar::new(100).with_style(
+        ProgressStyle::with_template("{bar:30} {msg}, {elapsed}; {eta} left").expect("the template is valid"),
+    );
     let options = Options {
         seed: args.seed,
         quick: args.quick,
-        coasting: args.flavour == FlavourArg::Thesis,
+        coasting: flavour == Flavour::Thesis,
         motor: motor_file.as_ref().map(|m| m.parameters(flavour)),
         without: args.without.clone(),
     };
@@ -142,7 +135,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     diagnosis.notes.extend(lost);
     if let Some(path) = &args.report {
         let title: Vec<&str> = measurements.iter().map(|m| m.name.as_str()).collect();
-        let page = report::page(&title.join(", "), &diagnosis, details.as_ref()).context("drawing the report")?;
+        let page = report::page(&title.join(", "), &diagnosis, details.as_ref());
         page.write(path)?;
         eprintln!("wrote {}", path.display());
     }

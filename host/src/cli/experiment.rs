@@ -3,6 +3,7 @@
 use super::configuration::ConfigurationArgs;
 use super::connect::{ALL_STREAMS, ConnectArgs, duration_ms, own_configuration, restore};
 use super::diagnose::{motor_of, runs_of};
+use super::output::{answer, stage};
 use super::{exit, units};
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -86,6 +87,9 @@ struct RunArgs {
     /// Go on with the folder's own plan, with the runs that are not finished
     #[arg(long)]
     resume: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs `twum experiment`.
@@ -107,7 +111,12 @@ fn planned(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
         measurements.push(runs_of(folder)?.0);
     }
     let motor = motor_of(&measurements[0], None)?.map(|m| m.parameters(Flavour::Physical));
-    let (diagnosis, _) = diagnose(&measurements, &Options { quick: true, motor, ..Options::default() }, &|_, _| {})?;
+    let options = Options { quick: true, motor, ..Options::default() };
+    let waiting = stage("what is open");
+    let (diagnosis, _) = diagnose(&measurements, &options, &|what, share| {
+        waiting.set_message(format!("what is open: {what}, {:.0} %", 100.0 * share));
+    })?;
+    waiting.finish_and_clear();
     Ok(next_runs(&measurements, &diagnosis))
 }
 
@@ -220,7 +229,12 @@ fn conclude(args: &RunArgs, series: &Series, verdict: Result<u8>) -> Result<Exit
         Ok((saved, notes)) => {
             notes.iter().for_each(|note| eprintln!("{note}"));
             if let Some(saved) = saved {
-                println!("{}", saved.folder.display());
+                let value = serde_json::json!({
+                    "folder": saved.folder,
+                    "runs": saved.runs.iter().map(|run| &run.id).collect::<Vec<_>>(),
+                    "planned": series.runs().len(),
+                });
+                answer(args.json, &value, &saved.folder.display().to_string());
                 eprintln!("{made} of {} runs; next: twum diagnose {}", series.runs().len(), args.out.display());
             }
         }

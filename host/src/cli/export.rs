@@ -1,6 +1,7 @@
 //! `twum export`.
 
 use super::existing::ExistingArgs;
+use super::output::stage;
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -34,6 +35,9 @@ pub struct Args {
     motor: Option<String>,
     #[command(flatten)]
     existing: ExistingArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -52,6 +56,7 @@ enum Encoder {
 /// Runs `twum export`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let motor = args.motor.as_deref().map(Motor::kept).transpose()?;
+    let waiting = stage("reading and writing");
     let mut recording = Recording::load(&args.recording)?;
     if let Some(motor) = motor {
         recording.metadata.motor = motor;
@@ -74,10 +79,14 @@ pub fn run(args: Args) -> Result<ExitCode> {
             })
         }
     };
+    waiting.finish_and_clear();
     let notes = done.with_context(|| format!("cannot export {}", args.recording.display()))?;
-    for note in notes {
+    for note in &notes {
         eprintln!("note: {note}");
     }
     eprintln!("wrote {}", args.out.display());
+    if args.json {
+        println!("{}", serde_json::json!({ "wrote": args.out, "losses": recording.losses(), "notes": notes }));
+    }
     Ok(ExitCode::SUCCESS)
 }

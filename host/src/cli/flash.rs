@@ -1,6 +1,7 @@
 //! `twum flash`: puts the firmware of this very version on a board, with the installed `espflash`, and hears it answer.
 
 use super::connect::ConnectArgs;
+use super::output::answer;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -24,6 +25,9 @@ pub struct Args {
     /// Folder of images
     #[arg(long, env = "TWUM_IMAGES")]
     images: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -85,7 +89,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
             identity.firmware
         );
     }
-    println!("{found} on {port} runs firmware {VERSION}");
+    let value = serde_json::json!({ "port": port, "chip": found, "firmware": VERSION, "image": image_path });
+    answer(args.json, &value, &format!("{found} on {port} runs firmware {VERSION}"));
     Ok(ExitCode::SUCCESS)
 }
 

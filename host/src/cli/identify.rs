@@ -1,11 +1,12 @@
 //! `twum identify`.
 
+use super::flavour::FlavourArgs;
+use super::output::stage;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::identify::{figures, force_factor, friction, read, save, stator};
 use twum_host::model::motor::Motor;
-use twum_host::model::parameters::Flavour;
 use twum_host::record::load::load_runs;
 
 /// Arguments of `twum identify`.
@@ -65,9 +66,8 @@ struct ForceFactor {
     /// Speeds under load and stalls from a CSV file with the columns duty,load_nm,rpm (rpm 0: the torque that stalled it)
     #[arg(long, value_name = "FILE")]
     torque_runs: Option<PathBuf>,
-    /// Reading of the model
-    #[arg(long, value_enum, default_value = "physical")]
-    flavour: Flavour,
+    #[command(flatten)]
+    flavour: FlavourArgs,
     #[command(flatten)]
     save: Save,
     /// Print JSON
@@ -86,7 +86,7 @@ fn loaded(text: &str) -> Result<force_factor::Loaded, String> {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   twum identify friction bench/2024-12-13
-  twum identify friction bench/2024-12-13 --json --figure friction.svg
+  twum identify friction bench/2024-12-13 --json --plot friction.svg
 
 The folder holds friction.toml (geometry) and the folders motor, no-motor and static with one file a trial,
 <speed>_rpm_<trial>.csv (column torque_nm) or .xlsx (column B). docs/identify.md lists the keys.")]
@@ -96,9 +96,9 @@ struct Friction {
     /// Go on without missing trials
     #[arg(long)]
     allow_missing: bool,
-    /// Write the coefficients over speed and the power spectrum here (.svg or .png)
-    #[arg(long, value_name = "FILE")]
-    figure: Option<PathBuf>,
+    /// Write the coefficients over speed and the power spectrum here (.svg, .png or .html)
+    #[arg(long, alias = "figure", value_name = "FILE")]
+    plot: Option<PathBuf>,
     #[command(flatten)]
     save: Save,
     /// Print JSON
@@ -108,7 +108,7 @@ struct Friction {
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  twum identify stator sweep.csv --figure sweep.svg
+  twum identify stator sweep.csv --plot sweep.svg
   twum identify stator waveforms.csv --shunt 2000 --shunt-tolerance 0.01 --json
   twum identify stator analyser.s1p --eta 0.54 --eta-relative 0.1
 
@@ -145,9 +145,9 @@ struct Stator {
     /// Seed of the bootstrap
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Write Nyquist and Bode plots here (.svg or .png)
-    #[arg(long, value_name = "FILE")]
-    figure: Option<PathBuf>,
+    /// Write Nyquist and Bode plots here (.svg, .png or .html)
+    #[arg(long, alias = "figure", value_name = "FILE")]
+    plot: Option<PathBuf>,
     #[command(flatten)]
     save: Save,
     /// Print JSON
@@ -186,10 +186,12 @@ fn run_stator(args: Stator) -> Result<ExitCode> {
         bootstrap: args.bootstrap,
         seed: args.seed,
     };
+    let waiting = stage("fitting the circuit");
     let found = stator::identify(&sweep, &options).with_context(|| {
         format!("{}: no circuit could be fitted: is this an admittance sweep of a stator?", args.file.display())
     })?;
-    if let Some(path) = &args.figure {
+    waiting.finish_and_clear();
+    if let Some(path) = &args.plot {
         figures::stator(&sweep, &found).write(path)?;
     }
     if args.json {
@@ -202,8 +204,10 @@ fn run_stator(args: Stator) -> Result<ExitCode> {
 }
 
 fn run_friction(args: Friction) -> Result<ExitCode> {
+    let waiting = stage("reading the trials");
     let found = friction::identify(&args.folder, args.allow_missing)?;
-    if let Some(path) = &args.figure {
+    waiting.finish_and_clear();
+    if let Some(path) = &args.plot {
         figures::friction(&found).write(path)?;
     }
     if args.json {
@@ -228,7 +232,9 @@ fn run_force_factor(args: ForceFactor) -> Result<ExitCode> {
     if let Some(path) = &args.torque_runs {
         torque.read(path)?;
     }
-    let report = force_factor::identify(&measurement, &torque, &motor, args.flavour)?;
+    let waiting = stage("fitting the model to every run");
+    let report = force_factor::identify(&measurement, &torque, &motor, args.flavour.get())?;
+    waiting.finish_and_clear();
     if args.json {
         println!("{}", serde_json::to_string(&report)?);
     } else {

@@ -1,9 +1,10 @@
 //! `twum import`.
 
+use super::output::print_table;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::record::check::{FolderCheck, check};
+use twum_host::record::check::{FolderCheck, RunCheck, check};
 use twum_host::record::convert::{to_edges, to_levels};
 use twum_host::record::load::measurement_folder;
 use twum_host::record::measurement::{Direction, MANIFEST, Measurement, RunData};
@@ -100,24 +101,23 @@ pub fn run(args: Args) -> Result<ExitCode> {
 
 fn print(checked: &FolderCheck) {
     println!("{}: motor {}, {} edges a revolution", checked.name, checked.motor, checked.edges_per_rev);
-    println!(
-        "{:<20} {:<6} {:<9} {:>6} {:>4} {:>9} {:>7} {:>10}",
-        "run", "kind", "format", "duty", "dir", "samples", "edges", "duration s"
-    );
+    let row = |run: &RunCheck| {
+        vec![
+            run.id.clone(),
+            format!("{:?}", run.kind).to_lowercase(),
+            run.format.name().to_owned(),
+            run.duty.map_or("-".to_owned(), |duty| format!("{duty:.4}")),
+            run.direction.map_or("-".to_owned(), |direction| format!("{direction:?}").to_lowercase()),
+            run.samples.to_string(),
+            run.edges.map_or("-".to_owned(), |edges| edges.to_string()),
+            format!("{:.3}", run.duration_s),
+        ]
+    };
+    let header = ["run", "kind", "format", "duty", "dir", "samples", "edges", "duration s"];
+    print_table(&header, &checked.runs.iter().map(row).collect::<Vec<_>>());
     for run in &checked.runs {
-        let kind = format!("{:?}", run.kind).to_lowercase();
-        let duty = run.duty.map_or("-".to_owned(), |duty| format!("{duty:.4}"));
-        let direction = run.direction.map_or("-".to_owned(), |direction| format!("{direction:?}").to_lowercase());
-        let edges = run.edges.map_or("-".to_owned(), |edges| edges.to_string());
-        println!(
-            "{:<20} {kind:<6} {:<9} {duty:>6} {direction:>4} {:>9} {edges:>7} {:>10.3}",
-            run.id,
-            run.format.name(),
-            run.samples,
-            run.duration_s
-        );
         for note in &run.notes {
-            println!("    {note}");
+            println!("{}: {note}", run.id);
         }
     }
 }

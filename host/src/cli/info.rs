@@ -33,7 +33,11 @@ pub fn run(args: Args) -> Result<ExitCode> {
         ("fault", identity.fault.map_or("none".to_owned(), |fault| format!("{fault:?}"))),
     ];
     if args.json {
-        println!("{}", serde_json::json!(std::collections::BTreeMap::from(rows)));
+        // What is not there is null.
+        let value = |(key, value): (&'static str, String)| {
+            (key, Some(value).filter(|_| key != "fault" || identity.fault.is_some()))
+        };
+        println!("{}", serde_json::json!(std::collections::BTreeMap::from(rows.map(value))));
     } else {
         rows.iter().for_each(|(key, value)| println!("{key:<10}{value}"));
     }

@@ -1,5 +1,6 @@
 //! `twum instruments`.
 
+use super::output::answer;
 use super::signals::on_signal;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -31,6 +32,9 @@ enum What {
     Off {
         /// Generator: /dev/usbtmcN, host or host:port
         generator: String,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
     },
 }
 
@@ -69,6 +73,9 @@ struct Sweep {
     /// Leave the generator's second channel off
     #[arg(long)]
     single_phase: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -109,6 +116,9 @@ struct Simulate {
     /// Seed of noise and jitter
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs `twum instruments`.
@@ -119,9 +129,12 @@ pub fn run(args: Args) -> Result<ExitCode> {
     match args.what {
         What::Sweep(args) => run_sweep(args, &stop),
         What::Simulate(args) => run_simulate(args, &stop),
-        What::Off { generator } => {
+        What::Off { generator, json } => {
             Generator::new(Scpi::open(&generator)?, Phases::Two)?;
             eprintln!("{generator}: both outputs are off");
+            if json {
+                println!("{}", serde_json::json!({ "generator": generator, "outputs_on": false }));
+            }
             Ok(ExitCode::SUCCESS)
         }
     }
@@ -147,6 +160,9 @@ fn run_sweep(args: Sweep, stop: &AtomicBool) -> Result<ExitCode> {
     })?;
     bar.finish_and_clear();
     eprintln!("{}: {taken} frequencies taken, outputs off", args.file.display());
+    if args.json {
+        println!("{}", serde_json::json!({ "file": args.file, "taken": taken }));
+    }
     Ok(ExitCode::SUCCESS)
 }
 
@@ -172,7 +188,9 @@ fn run_simulate(args: Simulate, stop: &AtomicBool) -> Result<ExitCode> {
         ports: (args.generator_port, args.scope_port),
     })
     .context("cannot listen on loopback: is the port taken?")?;
-    println!("--generator {} --scope {}", bench.generator, bench.scope);
+    let [generator, scope] = [bench.generator.to_string(), bench.scope.to_string()];
+    let value = serde_json::json!({ "generator": generator, "scope": scope });
+    answer(args.json, &value, &format!("--generator {generator} --scope {scope}"));
     eprintln!(
         "simulated bench: series resonance {:.1} Hz, Q {:.1}, shunt {} ohm; Ctrl-C ends it",
         mode.fs_hz, mode.q, args.shunt

@@ -16,6 +16,7 @@ pub mod exit;
 mod experiment;
 mod export;
 mod flash;
+mod flavour;
 mod identify;
 mod import;
 mod info;

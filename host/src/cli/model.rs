@@ -1,7 +1,8 @@
 //! `twum model`.
 
 use super::existing::ExistingArgs;
-use super::output::{print_table, spinner};
+use super::flavour::FlavourArgs;
+use super::output::{print_table, stage};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use serde::Serialize;
@@ -12,7 +13,6 @@ use twum_host::model::check::check;
 use twum_host::model::closed_loop::{Following, LoopProgram, Tick, following, run as run_loop};
 use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::{History, MotorPlant, Solver};
-use twum_host::model::parameters::Flavour;
 use twum_host::model::study::{Setup, Speed};
 use twum_host::output::{self, Existing, Output};
 use twum_host::report::figure::{Figure, Panel};
@@ -85,7 +85,7 @@ enum Question {
         /// Print JSON
         #[arg(long)]
         json: bool,
-        /// Draw to this file, .svg or .png
+        /// Draw to this file, .svg, .png or .html
         #[arg(long, value_name = "FILE")]
         plot: Option<PathBuf>,
     },
@@ -130,13 +130,12 @@ struct Common {
     /// Which model
     #[arg(long, value_enum, default_value_t = SolverArg::Averaged)]
     solver: SolverArg,
-    /// Which reading of the model
-    #[arg(long, value_enum, default_value_t)]
-    flavour: Flavour,
+    #[command(flatten)]
+    flavour: FlavourArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Draw to this file, .svg or .png
+    /// Draw to this file, .svg, .png or .html
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
 }
@@ -155,7 +154,7 @@ enum ControlArg {
 
 impl Common {
     fn setup(&self, duty: f64, seconds: f64) -> Result<Setup> {
-        let flavour = self.flavour;
+        let flavour = self.flavour.get();
         let solver = match self.solver {
             SolverArg::Averaged => Solver::Averaged,
             SolverArg::Carrier => Solver::Carrier,
@@ -209,7 +208,7 @@ fn print_json(value: &impl Serialize) -> Result<()> {
 
 fn speed(common: &Common, duty: f64) -> Result<()> {
     let setup = common.setup(duty, 1.0)?;
-    let waiting = spinner();
+    let waiting = stage("simulating");
     let speed = setup.speed()?;
     waiting.finish_and_clear();
     finite(&[(duty, speed)])?;
@@ -255,7 +254,7 @@ fn sweep(common: &Common, points: usize) -> Result<()> {
     }
     let setup = common.setup(1.0, 1.0)?;
     let duties: Vec<f64> = (0..points).map(|i| i as f64 / (points - 1) as f64).collect();
-    let waiting = spinner();
+    let waiting = stage("simulating every duty");
     let speeds = setup.sweep(&duties)?;
     waiting.finish_and_clear();
     finite(&speeds)?;
@@ -290,7 +289,7 @@ fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
     // Just short of the stall torque: beyond it the rotor runs away backwards.
     let stall = setup.stall_torque_nm();
     let loads: Vec<f64> = (0..points).map(|i| 0.995 * stall * i as f64 / (points - 1) as f64).collect();
-    let waiting = spinner();
+    let waiting = stage("simulating every load");
     let speeds = setup.under_loads(&loads)?;
     waiting.finish_and_clear();
     finite(&speeds)?;
@@ -317,7 +316,7 @@ fn torque(common: &Common, duty: f64, points: usize) -> Result<()> {
 
 fn brake(motor: &str, json: bool, plot: Option<PathBuf>) -> Result<()> {
     let motor = Motor::load(motor)?;
-    let waiting = spinner();
+    let waiting = stage("simulating the closed loop at every torque");
     let found = braking(&motor)?;
     waiting.finish_and_clear();
     if json {
@@ -372,7 +371,7 @@ fn braking_figure(found: &Braking) -> Figure {
 
 fn check_models(motor: &str, json: bool) -> Result<()> {
     let motor = Motor::load(motor)?;
-    let waiting = spinner();
+    let waiting = stage("holding the models against each other");
     let found = check(&motor)?;
     waiting.finish_and_clear();
     if json {
@@ -470,7 +469,7 @@ fn follow(
     let effects = setup.effects;
     let mut plant = MotorPlant::new(setup.parameters, setup.flavour, setup.solver, &effects, History::default());
     let began = std::time::Instant::now();
-    let waiting = spinner();
+    let waiting = stage("simulating the closed loop");
     let trace = run_loop(&program, &mut plant, &effects)?;
     waiting.finish_and_clear();
     let following = following(&program, &trace);

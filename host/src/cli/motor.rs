@@ -1,10 +1,10 @@
 //! Which motor is on the bench, or which one to simulate.
 
 use super::defaults;
+use super::flavour::FlavourArgs;
 use anyhow::{Result, bail};
 use std::path::PathBuf;
 use twum_host::model::motor::Motor;
-use twum_host::model::parameters::Flavour;
 use twum_host::sim::{Setup, Simulated};
 
 const DEFAULT_MOTOR: &str = "pcbmotor-30mm";
@@ -18,9 +18,8 @@ pub struct MotorArgs {
     /// simulated [default: the one the board simulates, or pcbmotor-30mm]
     #[arg(long, value_name = "NAME|FILE")]
     motor: Option<String>,
-    /// Flavour of a simulated motor [default: physical]
-    #[arg(long, value_enum)]
-    flavour: Option<Flavour>,
+    #[command(flatten)]
+    flavour: FlavourArgs,
     /// Effects to hide in a simulated motor: a file of [effects.NAME] tables, as in a motor file
     #[arg(long, value_name = "FILE")]
     effects: Option<PathBuf>,
@@ -32,17 +31,17 @@ impl MotorArgs {
         let hidden = self.effects.as_deref().map(Motor::effects_of_file).transpose()?.unwrap_or_default();
         let name = self.asked()?.unwrap_or_else(|| DEFAULT_MOTOR.to_owned());
         if name == SIMPLE {
-            if self.flavour.is_some() || self.effects.is_some() {
+            if self.flavour.is_given() || self.effects.is_some() {
                 bail!("the motor `{SIMPLE}` has neither flavours nor effects");
             }
             return Ok(Setup::simple());
         }
-        Ok(Setup::hybrid(&Motor::load(&name)?, self.flavour.unwrap_or_default(), &hidden)?)
+        Ok(Setup::hybrid(&Motor::load(&name)?, self.flavour.get(), &hidden)?)
     }
 
     /// Refuses what only a simulated motor can have.
     pub fn is_of_a_real_board(&self) -> Result<()> {
-        if self.flavour.is_some() || self.effects.is_some() {
+        if self.flavour.is_given() || self.effects.is_some() {
             bail!("--flavour and --effects are of a simulated motor: give them to `twum sim`, or with --port sim");
         }
         Ok(())

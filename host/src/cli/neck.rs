@@ -2,13 +2,14 @@
 
 use super::connect::{INTERRUPTED, catch_interrupts};
 use super::existing::ExistingArgs;
+use super::flavour::FlavourArgs;
+use super::output::stage;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::Duration;
 use twum_host::model::motor_plant::Solver;
 use twum_host::model::parameters::Flavour;
 use twum_host::neck::control::Named;
@@ -58,6 +59,9 @@ enum Command {
     Exercises {
         /// Exercise whose file to print
         name: Option<String>,
+        /// Print the list as JSON
+        #[arg(long, conflicts_with = "name")]
+        json: bool,
     },
 }
 
@@ -69,9 +73,8 @@ struct RunArgs {
     /// Motor at each joint: a shipped one or a file
     #[arg(long, default_value = "pcbmotor-30mm", value_name = "NAME|FILE")]
     motor: String,
-    /// Flavour of the motor model; the physical one has the maker's stall torque, which loads at a joint need
-    #[arg(long, value_enum, default_value_t)]
-    flavour: Flavour,
+    #[command(flatten)]
+    flavour: FlavourArgs,
     /// Controller [default: `thesis` with the thesis flavour, `default` otherwise]
     #[arg(long, value_enum)]
     control: Option<ControlArg>,
@@ -108,7 +111,7 @@ struct RunArgs {
     /// Print JSON
     #[arg(long)]
     json: bool,
-    /// Draw trajectories and errors, as .svg or .png
+    /// Draw trajectories and errors, as .svg, .png or .html
     #[arg(long = "plot", alias = "figure", value_name = "FILE")]
     figure: Option<PathBuf>,
     /// Write a page that plays the exercises in three dimensions, without a network
@@ -169,7 +172,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         None => simulate(args.run),
         Some(Command::Path(args)) => print_path(&args),
         Some(Command::Study(args)) => study(&args),
-        Some(Command::Exercises { name }) => exercises(name),
+        Some(Command::Exercises { name, json }) => exercises(name, json),
     }
 }
 
@@ -182,9 +185,7 @@ fn simulate(args: RunArgs) -> Result<ExitCode> {
         name => vec![Exercise::load(name)?],
     };
     let setup = setup(&args)?;
-    let waiting = ProgressBar::new_spinner();
-    waiting.set_message("simulating");
-    waiting.enable_steady_tick(Duration::from_millis(200));
+    let waiting = stage("simulating");
     let sessions = setup.simulate_all(&exercises)?;
     waiting.finish_and_clear();
     let scores: Vec<Score> = sessions.iter().map(|session| Score::of(session, &setup)).collect();
@@ -215,7 +216,7 @@ fn simulate(args: RunArgs) -> Result<ExitCode> {
 }
 
 fn setup(args: &RunArgs) -> Result<Setup> {
-    let flavour = args.flavour;
+    let flavour = args.flavour.get();
     let control = match (args.control, flavour) {
         (Some(ControlArg::Thesis), _) | (None, Flavour::Thesis) => Named::Thesis,
         (Some(ControlArg::Default), _) | (None, Flavour::Physical | Flavour::Measured) => Named::Default,
@@ -313,12 +314,22 @@ fn study(args: &StudyArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn exercises(name: Option<String>) -> Result<ExitCode> {
+fn exercises(name: Option<String>, json: bool) -> Result<ExitCode> {
     if let Some(name) = name {
         let Some(file) = Exercise::shipped_file(&name) else {
             bail!("no exercise `{name}` is shipped: {}", Exercise::SHIPPED.join(", "));
         };
         emit(file.as_bytes())?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if json {
+        let mut list = Vec::new();
+        for name in Exercise::SHIPPED {
+            let exercise = Exercise::shipped(name)?;
+            let (title, source) = (exercise.title(), exercise.source());
+            list.push(json!({ "name": name, "title": title, "seconds": exercise.duration_s(), "source": source }));
+        }
+        emit(format!("{}\n", json!(list)).as_bytes())?;
         return Ok(ExitCode::SUCCESS);
     }
     for name in Exercise::SHIPPED {

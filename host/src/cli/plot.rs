@@ -1,5 +1,6 @@
 //! `twum plot`.
 
+use super::output::stage;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -18,7 +19,7 @@ Gaps in the data are gaps in the lines. The same file gives the same picture, by
 pub struct Args {
     /// Recording or measurement folder
     input: PathBuf,
-    /// Picture to write: .svg or .png
+    /// Picture to write: .svg, .png, or a page to zoom in, .html
     out: PathBuf,
     /// Run of a measurement folder
     #[arg(long)]
@@ -30,6 +31,7 @@ pub struct Args {
 
 /// Runs `twum plot`.
 pub fn run(args: Args) -> Result<ExitCode> {
+    let waiting = stage("reading");
     let mut figure = if args.input.is_dir() {
         measurement_figure(&load_runs(&args.input)?.0, args.run.as_deref())?
     } else {
@@ -43,6 +45,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         }
         figure
     };
+    waiting.finish_and_clear();
     if let Some(size) = &args.size {
         let (width, height) = size
             .split_once('x')

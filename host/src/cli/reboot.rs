@@ -1,6 +1,7 @@
 //! `twum reboot`.
 
 use super::connect::ConnectArgs;
+use super::output::answer;
 use anyhow::{Result, bail};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -14,6 +15,9 @@ const AWAY: Duration = Duration::from_millis(500);
 pub struct Args {
     #[command(flatten)]
     connect: ConnectArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs `twum reboot`.
@@ -33,9 +37,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     if session.tally().restarts == 0 {
         bail!("the board took the command and did not restart");
     }
-    println!(
-        "restarted: {:?}; mode {:?}; alignment is lost, the kept configuration is not",
-        identity.reset, identity.mode
-    );
+    let [reset, mode] = [format!("{:?}", identity.reset), format!("{:?}", identity.mode)];
+    let words = format!("restarted: {reset}; mode {mode}; alignment is lost, the kept configuration is not");
+    answer(args.json, &serde_json::json!({ "restarted": true, "reset": reset, "mode": mode }), &words);
     Ok(ExitCode::SUCCESS)
 }

@@ -1,5 +1,6 @@
 //! `twum replay`.
 
+use super::output::stage;
 use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -26,7 +27,9 @@ pub struct Args {
 
 /// Runs `twum replay`.
 pub fn run(args: Args) -> Result<ExitCode> {
+    let waiting = stage("recomputing every tick");
     let found = replay_recording(&args.recording)?;
+    waiting.finish_and_clear();
     if args.json {
         println!("{}", serde_json::to_string_pretty(&found)?);
     } else {

@@ -2,6 +2,7 @@
 
 use super::connect::{INTERRUPTED, catch_interrupts};
 use super::motor::MotorArgs;
+use super::output::answer;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use twum_host::link::serve;
@@ -18,6 +19,9 @@ pub struct Args {
     pty: bool,
     #[command(flatten)]
     motor: MotorArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
     /// How well the driver board is
     #[arg(long, value_enum, default_value = "well")]
     driver: Driver,
@@ -50,7 +54,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     let setup = Setup { driver, start_pitch: args.start_pitch, ..args.motor.simulated()? };
     let simulates = setup.simulates.clone();
     serve(setup, &INTERRUPTED, |name| {
-        println!("{name}");
+        answer(args.json, &serde_json::json!({ "port": name, "simulates": simulates.to_string() }), name);
         eprintln!("serving a board in real time, {simulates}; Ctrl-C ends it");
     })
     .context("the pseudo-terminal failed")?;

@@ -1,7 +1,9 @@
 //! `twum stop`.
 
 use super::connect::{ConnectArgs, Reached};
+use super::output::answer;
 use anyhow::Result;
+use serde_json::json;
 use std::process::ExitCode;
 use twum_host::link::relay;
 
@@ -11,6 +13,9 @@ use twum_host::link::relay;
 pub struct Args {
     #[command(flatten)]
     connect: ConnectArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs `twum stop`.
@@ -18,7 +23,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     let mut session = match args.connect.session_or(relay::stop_through)? {
         Reached::Port(session) => session,
         Reached::Through(()) => {
-            println!("stopped, through the program that holds the port; the board acknowledged it");
+            let words = "stopped, through the program that holds the port; the board acknowledged it";
+            answer(args.json, &json!({ "stopped": true, "through": "holder", "cleared": null }), words);
             return Ok(ExitCode::SUCCESS);
         }
     };
@@ -26,9 +32,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     session.halt()?;
     let fault = session.hello()?.fault;
     session.stop()?;
-    match fault {
-        Some(fault) => println!("stopped; cleared {fault:?}: {fault}"),
-        None => println!("stopped"),
-    }
+    let words = fault.map_or("stopped".to_owned(), |fault| format!("stopped; cleared {fault:?}: {fault}"));
+    let cleared = fault.map(|fault| format!("{fault:?}"));
+    answer(args.json, &json!({ "stopped": true, "through": "port", "cleared": cleared }), &words);
     Ok(ExitCode::SUCCESS)
 }

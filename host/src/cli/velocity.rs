@@ -1,7 +1,7 @@
 //! `twum velocity`.
 
 use super::existing::ExistingArgs;
-use super::output::print_table;
+use super::output::{pieces, print_table, stage};
 use anyhow::{Context, Result, bail};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -59,7 +59,7 @@ pub struct Args {
     csv: Option<PathBuf>,
     #[command(flatten)]
     existing: ExistingArgs,
-    /// Draw the run to this file, .svg or .png
+    /// Draw the run to this file, .svg, .png or .html
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Draw a simulation's constant speed beside the run
@@ -107,6 +107,7 @@ const TRIAL_SEEDS: u64 = 6;
 /// Runs `twum velocity`.
 pub fn run(args: Args) -> Result<ExitCode> {
     if args.trials {
+        let _waiting = stage("every method on every motion, twice");
         for (name, encoder) in [("An ideal encoder", Encoder::IDEAL), ("A rough encoder", Encoder::ROUGH)] {
             println!("# {name}\n\n{}", score(&Motions::all(), encoder, TRIAL_SEEDS)?);
         }
@@ -132,10 +133,15 @@ pub fn run(args: Args) -> Result<ExitCode> {
         write_table(csv, args.existing, |out| write_steps(out, &runs, &options))?;
         return Ok(ExitCode::SUCCESS);
     }
+    let bar = pieces("runs", runs.len());
     let motions = runs
         .iter()
-        .map(|run| motion(run, &options).with_context(|| format!("run {}", run.id)))
+        .map(|run| {
+            bar.inc(1);
+            motion(run, &options).with_context(|| format!("run {}", run.id))
+        })
         .collect::<Result<Vec<_>>>()?;
+    bar.finish_and_clear();
     if let Some(plot) = &args.plot {
         draw(plot, &measurement, &runs, &motions, args.simulated_rpm)?;
     }

@@ -14,6 +14,7 @@ use crate::record::convert::to_levels;
 use crate::record::measurement::{Direction, LevelEdge, Measurement, Run, RunData, RunKind};
 use crate::report::figure::{Figure, Panel};
 use crate::report::speed::{self, Simulated};
+use crate::report::table::table;
 use crate::signal::SignalError;
 use crate::signal::course::{Course, Drive};
 use crate::signal::run::{Method, Motion, Options, motion};
@@ -252,31 +253,22 @@ fn r2_of_speeds(runs: &[RunComparison]) -> Option<f64> {
 impl std::fmt::Display for Comparison {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let seconds = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{:.0}", v * 1e3));
-        let width = self.runs.iter().map(|r| r.id.len()).max().unwrap_or(0).max(3);
-        writeln!(
-            f,
-            "{:width$}  {:>5}  {:>17}  {:>17}  {:>13}  {:>13}  {:>8} {:>8}",
-            "run", "duty", "mean rpm", "start peak rpm", "rise ms", "stop ms", "RMSE rpm", "RMSE °"
-        )?;
-        for r in &self.runs {
+        let both = |v: [f64; 2]| format!("{:.3} {:.3}", v[0], v[1]);
+        let row = |r: &RunComparison| {
             let (m, s) = (&r.measured, &r.simulated);
-            writeln!(
-                f,
-                "{:width$}  {:>5.2}  {:>8.3} {:>8.3}  {:>8.3} {:>8.3}  {:>6} {:>6}  {:>6} {:>6}  {:>8.3} {:>8.2}",
-                r.id,
-                r.duty,
-                m.mean_rpm,
-                s.mean_rpm,
-                m.start_peak_rpm,
-                s.start_peak_rpm,
-                seconds(m.rise_s),
-                seconds(s.rise_s),
-                seconds(m.stop_s),
-                seconds(s.stop_s),
-                r.rmse_speed_rpm,
-                r.rmse_position_deg
-            )?;
-        }
+            vec![
+                r.id.clone(),
+                format!("{:.2}", r.duty),
+                both([m.mean_rpm, s.mean_rpm]),
+                both([m.start_peak_rpm, s.start_peak_rpm]),
+                format!("{} {}", seconds(m.rise_s), seconds(s.rise_s)),
+                format!("{} {}", seconds(m.stop_s), seconds(s.stop_s)),
+                format!("{:.3}", r.rmse_speed_rpm),
+                format!("{:.2}", r.rmse_position_deg),
+            ]
+        };
+        let header = ["run", "duty", "mean rpm", "start peak rpm", "rise ms", "stop ms", "RMSE rpm", "RMSE °"];
+        write!(f, "{}", table(&header, &self.runs.iter().map(row).collect::<Vec<_>>()))?;
         writeln!(f, "(two numbers: measured, simulated with the {} model)", self.flavour)?;
         let r2 = self.r2_speed.map_or("needs three duties".to_owned(), |v| format!("{v:.4}"));
         writeln!(f, "R² of speed against duty: {r2}")?;

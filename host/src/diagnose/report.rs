@@ -5,27 +5,25 @@ use super::answer::{Diagnosis, text};
 use super::inertial::InertialOutcome;
 use super::problem::Problem;
 use super::runs::Outcome;
-use crate::report::figure::{Figure, FigureError, Panel};
-use crate::report::html::Page;
+use crate::report::figure::{Figure, Panel};
+use crate::report::page::Page;
+use serde_json::Value;
 use std::f64::consts::TAU;
 
 /// Builds the HTML report. `title` names the data.
-///
-/// # Errors
-/// When a figure cannot be drawn.
-pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Result<Page, FigureError> {
-    let mut page = Page::new(format!("Diagnosis: {title}"));
-    let headline = text(d).lines().next().unwrap_or_default().to_owned();
-    page = page.callout(&headline).heading("The answer").code(&text(d));
+pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Page {
+    let json = serde_json::to_value(d).expect("an answer always serialises");
+    let mut page =
+        Page::new(format!("Diagnosis: {title}")).callout(&sentence(&json)).heading("The answer").code(&text(d));
     if let Some(details) = details {
         page = page.heading("Residuals before and after");
         page = match details {
             Details::Runs { problem, outcome } => page.figure(
-                &residual_figure(problem, outcome),
+                residual_figure(problem, outcome),
                 "Measured minus simulated speed, averaged in bins: the refitted simulation before, the extended model after. \
                  What is flat at zero is explained.",
-            )?,
-            Details::Inertial(o) => page.figure(&inertial_figure(o), "Speed over input, and what the models miss.")?,
+            ),
+            Details::Inertial(o) => page.figure(inertial_figure(o), "Speed over input, and what the models miss."),
         };
     }
     page = page.heading("Evidence");
@@ -37,6 +35,7 @@ pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Result<Pag
             vec![
                 e.name.clone(),
                 e.status.to_owned(),
+                e.probability.map_or("-".to_owned(), |p| format!("{p:.2}")),
                 percent(e.gain_heldout),
                 format!("{} to {}", percent(e.gain_ci95[0]), percent(e.gain_ci95[1])),
                 format!("{:.3}", e.p_null),
@@ -45,8 +44,9 @@ pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Result<Pag
             ]
         })
         .collect();
-    page = page
-        .table(&["effect", "status", "held-out gain (%)", "95 % interval", "p of chance", "as good", "note"], &rows);
+    let header =
+        ["effect", "status", "probability", "held-out gain (%)", "95 % interval", "p of chance", "as good", "note"];
+    page = page.table(&header, &rows);
     page = page.heading("Error budget");
     let mut rows: Vec<Vec<String>> = d
         .effects
@@ -60,11 +60,47 @@ pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Result<Pag
         rows.push(vec!["unknown".to_owned(), percent(u)]);
     }
     page = page.table(&["part", "share of the baseline's squared error (%)"], &rows);
-    page = page.paragraph(&format!(
+    page.paragraph(&format!(
         "Every random choice (hold-out, bootstrap, null) is drawn from seed {}; the same seed gives the same answer.",
         d.seed
-    ));
-    Ok(page)
+    ))
+}
+
+/// What was found, in one sentence: of an answer as its JSON has it.
+pub fn sentence(d: &Value) -> String {
+    let off = |part: &str| d[part]["rmse_speed_rpm"].as_f64().map(|rpm| format!("{rpm:.2} rpm"));
+    let missed = off("baseline").map_or("The simulation differs from this motor".to_owned(), |rpm| {
+        format!("The simulation missed the motor's speed by {rpm}")
+    });
+    let effects = || d["effects"].as_array().into_iter().flatten();
+    let with_status = |status: &'static str| effects().filter(move |e| e["status"] == status);
+    match d["verdict"].as_str() {
+        Some("none") => match off("baseline") {
+            Some(rpm) => {
+                format!("Nothing is wrong: the {rpm} by which the simulation missed the motor's speed are noise.")
+            }
+            None => "Nothing is wrong: what the simulation misses is noise.".to_owned(),
+        },
+        Some("named") => {
+            let names: Vec<&str> = with_status("named").filter_map(|e| e["name"].as_str()).collect();
+            let left =
+                off("extended").map_or(String::new(), |rpm| format!(", and with it in the model {rpm} are left"));
+            format!("{missed}; the cause is {}{left}.", names.join(" and "))
+        }
+        Some("ambiguous") => {
+            let rivals = |e: &'_ Value| e["conflicts_with"].as_array().cloned().unwrap_or_default();
+            let mut open: Vec<Value> = Vec::new();
+            for effect in with_status("ambiguous") {
+                open.push(effect["name"].clone());
+                open.extend(rivals(effect));
+            }
+            let mut names: Vec<&str> = open.iter().filter_map(Value::as_str).collect();
+            names.sort_unstable();
+            names.dedup();
+            format!("{missed}; the cause is one of {}.", names.join(", "))
+        }
+        _ => format!("{missed}, and no cause in the library explains it."),
+    }
 }
 
 /// Binned residuals of several runs.
@@ -118,7 +154,7 @@ pub fn residual_figure(problem: &Problem, outcome: &Outcome) -> Figure {
     };
     let first: Vec<(f64, f64)> = samples.iter().step_by((samples.len() / 1500).max(1)).map(|s| (s[0], s[5])).collect();
     let last: Vec<(f64, f64)> = samples.iter().step_by((samples.len() / 1500).max(1)).map(|s| (s[0], s[6])).collect();
-    Figure::new("Residuals before and after")
+    Figure::new("")
         .columns(2)
         .size(1000, 1100)
         .panel(panel("time in the run (s)", 0, 40))
@@ -142,5 +178,29 @@ pub fn inertial_figure(o: &InertialOutcome) -> Figure {
         let after: Vec<f64> = run.rpm.iter().zip(predicted).map(|(y, p)| y - p).collect();
         rest = rest.dashed(format!("{} before", run.id), &at(&before)).line(format!("{} after", run.id), &at(&after));
     }
-    Figure::new("Speed over input").size(1000, 800).panel(speed).panel(rest)
+    Figure::new("").size(1000, 800).panel(speed).panel(rest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn one_sentence_says_what_was_found() {
+        let effects = json!([{"name": "dead-zone", "status": "named"}, {"name": "start-delay", "status": "rejected"}]);
+        let (before, after) = (json!({"rmse_speed_rpm": 3.24}), json!({"rmse_speed_rpm": 0.2}));
+        let d = json!({"verdict": "named", "effects": effects, "baseline": before, "extended": after});
+        let expected = "The simulation missed the motor's speed by 3.24 rpm; the cause is dead-zone, and with it in the \
+                        model 0.20 rpm are left.";
+        assert_eq!(sentence(&d), expected);
+        let effects =
+            json!([{"name": "preload-runout", "status": "ambiguous", "conflicts_with": ["encoder-eccentricity"]}]);
+        let d = json!({"verdict": "ambiguous", "effects": effects, "baseline": before, "extended": after});
+        assert!(sentence(&d).ends_with("the cause is one of encoder-eccentricity, preload-runout."));
+        let d = json!({"verdict": "none", "effects": [], "baseline": {"rmse_speed_rpm": null}});
+        assert_eq!(sentence(&d), "Nothing is wrong: what the simulation misses is noise.");
+        let d = json!({"verdict": "unknown", "effects": [], "baseline": before});
+        assert!(sentence(&d).contains("3.24 rpm, and no cause"));
+    }
 }

@@ -13,6 +13,7 @@ use crate::model::parameters::{Flavour, Parameters};
 use crate::model::plant::Direction;
 use crate::model::simulate::{PlantModel, Program, simulate};
 use crate::record::measurement::{Direction as Sense, Measurement, Run, RunData, RunKind};
+use crate::report::table::table;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -852,41 +853,25 @@ impl Report {
         let [c, d] = self.ci95_others_exact.map(bound);
         let _ = writeln!(out, "force factor {:.5} N/V, 95 % [{a}, {b}] ({} model)", self.eta_n_v, self.flavour);
         let _ = writeln!(out, "  [{c}, {d}] were everything else in the motor file exact\n");
-        let _ = writeln!(
-            out,
-            "{:<8} {:>12} {:>22} {:>12} {:>12}",
-            "with", "correlation", "% of eta for 1 %", "known to", "after fit"
-        );
         let figure = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "-".to_owned() };
-        for t in &self.trades {
-            let _ = writeln!(
-                out,
-                "{:<8} {:>12} {:>22} {:>11.1}% {:>11.1}%",
-                t.with,
-                figure(t.correlation),
-                figure(t.exchange),
-                100.0 * t.prior_relative,
-                100.0 * t.posterior_relative
-            );
-        }
-        let _ = writeln!(
-            out,
-            "\n{:<16} {:>6} {:>10} {:>10} {:>10} {:>10}",
-            "run", "duty", "rpm", "model", "lag ms", "model"
-        );
+        let percent = |share: f64| format!("{:.1}%", 100.0 * share);
+        let trade = |t: &Trade| {
+            let known = [percent(t.prior_relative), percent(t.posterior_relative)];
+            [vec![t.with.to_string(), figure(t.correlation), figure(t.exchange)], known.to_vec()].concat()
+        };
+        let trades: Vec<_> = self.trades.iter().map(trade).collect();
+        out += &table(&["with", "correlation", "% of eta for 1 %", "known to", "after fit"], &trades);
+        out.push('\n');
         let ms = |s: Option<f64>| s.map_or("-".to_owned(), |s| format!("{:.1}", 1e3 * s));
-        for r in &self.runs {
-            let _ = writeln!(
-                out,
-                "{:<16} {:>6.3} {:>10.2} {:>10.2} {:>10} {:>10}",
-                r.id,
-                r.duty,
-                r.rpm,
-                r.model_rpm,
-                ms(r.lag_s),
-                ms(r.model_lag_s)
-            );
-        }
+        let runs: Vec<Vec<String>> = self
+            .runs
+            .iter()
+            .map(|r| {
+                let [rpm, model_rpm] = [r.rpm, r.model_rpm].map(|v| format!("{v:.2}"));
+                vec![r.id.clone(), format!("{:.3}", r.duty), rpm, model_rpm, ms(r.lag_s), ms(r.model_lag_s)]
+            })
+            .collect();
+        out += &table(&["run", "duty", "rpm", "model", "lag ms", "model"], &runs);
         let mm = |t: f64| format!("{:.2}", 1e3 * t);
         let measured: Vec<String> = self.stall_measured_nm.iter().map(|t| mm(*t)).collect();
         let beside = if measured.is_empty() { String::new() } else { format!(", measured {}", measured.join(", ")) };

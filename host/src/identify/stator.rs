@@ -4,6 +4,7 @@ use super::circuit::{Circuit, Mode};
 use super::fit::{self, Fit, ResidualTest};
 use super::sweep::{Point, Sweep};
 use super::{modes, thesis};
+use crate::report::table::table;
 use nalgebra::Complex;
 use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
@@ -424,33 +425,27 @@ impl Report {
             ("Cs", "cs_ns_m", self.cs_ns_m, None, "N s/m"),
             ("Ks", "ks_n_m", self.ks_n_m, None, "N/m"),
         ];
-        let _ = writeln!(out, "{:<3} {:>13} {:>29} {:>13}", "", "fit", "95 % interval", "thesis");
         let number = |v: Option<f64>| v.map_or("-".to_owned(), figure);
-        for (label, name, fit, thesis, unit) in rows {
+        let rows = rows.map(|(label, name, fit, thesis, unit)| {
             let interval = match self.ci95.get(name) {
                 Some(Some([low, high])) => format!("[{}, {}]", figure(*low), figure(*high)),
                 _ => "-".to_owned(),
             };
-            let _ = writeln!(out, "{label:<3} {:>13} {interval:>29} {:>13} {unit}", number(fit), number(thesis));
-        }
+            vec![label.to_owned(), number(fit), interval, number(thesis), unit.to_owned()]
+        });
+        out += &table(&["", "fit", "95 % interval", "thesis", ""], &rows);
         if self.modes.len() > 1 {
-            let _ = writeln!(
-                out,
-                "\nmodes\n{:>12} {:>9} {:>12} {:>12} {:>12}",
-                "fs (Hz)", "Q", "C (F)", "L (H)", "R (ohm)"
-            );
-            for m in &self.modes {
-                let _ = writeln!(
-                    out,
-                    "{:>12.1} {:>9.1} {:>12.4e} {:>12.4e} {:>12.4e}{}",
-                    m.fs_hz,
-                    m.q,
-                    m.c_f,
-                    m.l_h,
-                    m.r_ohm,
-                    if m.main { "  main" } else { "" }
-                );
-            }
+            let rows: Vec<Vec<String>> = self
+                .modes
+                .iter()
+                .map(|m| {
+                    let [c, l, r] = [m.c_f, m.l_h, m.r_ohm].map(|v| format!("{v:.4e}"));
+                    let main = if m.main { "main" } else { "" };
+                    vec![format!("{:.1}", m.fs_hz), format!("{:.1}", m.q), c, l, r, main.to_owned()]
+                })
+                .collect();
+            out += "\nmodes\n";
+            out += &table(&["fs (Hz)", "Q", "C (F)", "L (H)", "R (ohm)", ""], &rows);
         }
         for note in &self.notes {
             let _ = writeln!(out, "\nnote: {note}");

@@ -17,6 +17,11 @@ pub fn figure(sessions: &[&Session]) -> Figure {
     rows.into_iter().flat_map(|row| sessions.iter().map(move |session| row(session))).fold(figure, Figure::panel)
 }
 
+/// The errors of one session: of the end point, and of the joints.
+pub(super) fn errors(session: &Session) -> Figure {
+    Figure::new("").panel(end_point_error(session)).panel(joint_errors(session))
+}
+
 fn side(session: &Session) -> Panel {
     plane(session, ("y, forward (m)", 1), ("z, up (m)", 2)).title(session.exercise.title().to_owned())
 }

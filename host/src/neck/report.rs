@@ -7,6 +7,7 @@ use super::session::Setup;
 use super::thesis_table::{Row, TABLE_5_6};
 use crate::model::motor_plant::Solver;
 use crate::model::parameters::Flavour;
+use crate::report::table::table;
 use serde::Serialize;
 use std::fmt::Write as _;
 
@@ -170,32 +171,43 @@ impl Report {
     /// The report for people.
     pub fn text(&self) -> String {
         let mut out = format!("{}\n\n", self.setup_line());
-        let _ = writeln!(
-            out,
-            "{:<20} {:>10} {:>10} {:>10} {:>12} | {:>14} {:>12}",
-            "end point", "mean (m)", "MSE (m²)", "worst (m)", "left alone*", "thesis mean(m)", "thesis MSE"
-        );
-        for Beside { score, thesis } in &self.exercises {
-            let (mean, mse) = thesis.map_or(("-".to_owned(), "-".to_owned()), |row| {
-                (format!("{:.4e}", row.mean_abs_error_m), format!("{:.3e}", row.mse_as_printed))
+        let end_point = |Beside { score, thesis }: &Beside| {
+            let [mean, mse] = thesis.map_or(["-".to_owned(), "-".to_owned()], |row| {
+                [format!("{:.4e}", row.mean_abs_error_m), format!("{:.3e}", row.mse_as_printed)]
             });
-            let _ = writeln!(
-                out,
-                "{:<20} {:>10.5} {:>10.3e} {:>10.5} {:>12.5} | {mean:>14} {mse:>12}",
-                score.exercise,
-                score.mean_abs_error_m,
-                score.mse_m2,
-                score.max_error_m,
-                score.uncorrected_mean_abs_error_m,
-            );
-        }
+            vec![
+                score.exercise.clone(),
+                format!("{:.5}", score.mean_abs_error_m),
+                format!("{:.3e}", score.mse_m2),
+                format!("{:.5}", score.max_error_m),
+                format!("{:.5}", score.uncorrected_mean_abs_error_m),
+                mean,
+                mse,
+            ]
+        };
+        let header = ["end point", "mean (m)", "MSE (m²)", "worst (m)", "left alone*", "thesis mean (m)", "thesis MSE"];
+        out += &table(&header, &self.exercises.iter().map(end_point).collect::<Vec<_>>());
         let _ = writeln!(out, "worst mean absolute error: {:.5} m", self.worst_mean_abs_error_m);
         let _ =
             writeln!(out, "* mean error (m) had the motors followed the path exactly and left the disturbance alone\n");
 
-        let _ = writeln!(
-            out,
-            "{:<20} {:>5} {:>10} {:>10} {:>11} {:>14} {:>11} {:>10} {:>10}",
+        let mut rows = Vec::new();
+        for Beside { score, .. } in &self.exercises {
+            for joint in &score.joints {
+                rows.push(vec![
+                    if joint.joint == 1 { score.exercise.clone() } else { String::new() },
+                    joint.joint.to_string(),
+                    format!("{:.3}", joint.mean_abs_error_deg),
+                    format!("{:.3}", joint.max_error_deg),
+                    format!("{:.4}", joint.mse_deg2),
+                    format!("{:.4}", joint.peak_demand_nm * 1e3),
+                    format!("{:.2}%", joint.demand_over_stall * 1e2),
+                    format!("{:.3}", joint.mean_duty),
+                    format!("{:.1}%", joint.saturated_share * 1e2),
+                ]);
+            }
+        }
+        let header = [
             "joints",
             "joint",
             "mean (°)",
@@ -204,25 +216,9 @@ impl Report {
             "torque (mN·m)",
             "of stall",
             "mean duty",
-            "saturated"
-        );
-        for Beside { score, .. } in &self.exercises {
-            for joint in &score.joints {
-                let _ = writeln!(
-                    out,
-                    "{:<20} {:>5} {:>10.3} {:>10.3} {:>11.4} {:>14.4} {:>10.2}% {:>10.3} {:>9.1}%",
-                    if joint.joint == 1 { score.exercise.as_str() } else { "" },
-                    joint.joint,
-                    joint.mean_abs_error_deg,
-                    joint.max_error_deg,
-                    joint.mse_deg2,
-                    joint.peak_demand_nm * 1e3,
-                    joint.demand_over_stall * 1e2,
-                    joint.mean_duty,
-                    joint.saturated_share * 1e2,
-                );
-            }
-        }
+            "saturated",
+        ];
+        out += &table(&header, &rows);
         let overpowered = self.exercises.iter().flat_map(|e| e.score.joints.iter().map(move |j| (&e.score, j)));
         for (score, joint) in overpowered.filter(|(_, joint)| joint.demand_over_stall > 1.0) {
             let _ = writeln!(

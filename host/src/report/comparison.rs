@@ -1,43 +1,28 @@
 //! The page of `twum compare`: every number it found, and the pictures.
 
-use super::figure::{Figure, FigureError};
-use super::html::Page;
+use super::figure::Figure;
+use super::page::Page;
 use crate::compare::closed_loop::ClosedLoop;
 use crate::compare::simulation::{Comparison, RunComparison};
 use crate::signal::SignalError;
 use std::fmt::Display;
 
-/// Why the page was not made.
-#[derive(Debug, thiserror::Error)]
-pub enum ComparisonPageError {
-    /// A run's spectrum could not be taken.
-    #[error(transparent)]
-    Signal(#[from] SignalError),
-    /// A figure could not be drawn.
-    #[error(transparent)]
-    Figure(#[from] FigureError),
-}
-
 /// Makes the page of a measurement called `name`.
 ///
 /// # Errors
-/// When a figure cannot be drawn.
-pub fn page(
-    name: &str,
-    open_loop: Option<&Comparison>,
-    closed_loops: &[ClosedLoop],
-) -> Result<Page, ComparisonPageError> {
+/// When a run's spectrum cannot be taken.
+pub fn page(name: &str, open_loop: Option<&Comparison>, closed_loops: &[ClosedLoop]) -> Result<Page, SignalError> {
     let mut page = Page::new(format!("{name}, compared"));
     if let Some(comparison) = open_loop {
         page = open_loop_section(page, name, comparison)?;
     }
     if !closed_loops.is_empty() {
-        page = closed_loop_section(page, closed_loops)?;
+        page = closed_loop_section(page, closed_loops);
     }
     Ok(page)
 }
 
-fn open_loop_section(page: Page, name: &str, comparison: &Comparison) -> Result<Page, ComparisonPageError> {
+fn open_loop_section(page: Page, name: &str, comparison: &Comparison) -> Result<Page, SignalError> {
     let summary = format!(
         "RMSE of the speed {} rpm, of the angle {}\u{b0}; R\u{b2} of speed against duty: {}.",
         number(comparison.rmse_speed_rpm, 3),
@@ -82,14 +67,14 @@ fn open_loop_section(page: Page, name: &str, comparison: &Comparison) -> Result<
         .paragraph(&format!("Against the simulation with the {} model.", comparison.flavour))
         .callout(&summary)
         .table(&header, &rows)
-        .figure(&comparison.figure(name)?, "Measured and simulated speed")?;
+        .figure(comparison.figure(name)?, "Measured and simulated speed.");
     Ok(match comparison.left_out.as_slice() {
         [] => page,
         left_out => page.paragraph(&format!("Left out (closed loop, or no duty): {}.", left_out.join(", "))),
     })
 }
 
-fn closed_loop_section(page: Page, closed_loops: &[ClosedLoop]) -> Result<Page, ComparisonPageError> {
+fn closed_loop_section(page: Page, closed_loops: &[ClosedLoop]) -> Page {
     fn shown<T: Copy>(value: Option<T>, text: impl Fn(T) -> String) -> String {
         value.map_or("n/a".to_owned(), text)
     }
@@ -144,9 +129,9 @@ fn closed_loop_section(page: Page, closed_loops: &[ClosedLoop]) -> Result<Page, 
     }
     for run in closed_loops {
         let figure = run.panels().into_iter().fold(Figure::new(""), Figure::panel);
-        page = page.figure(&figure, &format!("Run {}", run.run))?;
+        page = page.figure(figure, &format!("Run {}.", run.run));
     }
-    Ok(page)
+    page
 }
 
 /// A number with a true minus sign.

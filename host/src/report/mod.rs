@@ -2,6 +2,7 @@
 
 pub mod comparison;
 pub mod figure;
-pub mod html;
+pub mod page;
 pub mod run;
 pub mod speed;
+pub mod table;

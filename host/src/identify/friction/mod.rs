@@ -9,6 +9,7 @@ pub mod trials;
 pub mod windows;
 
 use super::fit::student95;
+use crate::report::table::table;
 use serde::Serialize;
 use setup::{FrictionError, Setup};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
@@ -388,23 +389,17 @@ impl Report {
         let interval = |ci: Option<[f64; 2]>| ci.map_or("-".to_owned(), |[a, b]| format!("[{a:.4}, {b:.4}]"));
         for (name, o) in [("Coulomb", &self.coulomb), ("static", &self.stat)] {
             let _ = writeln!(out, "{name} coefficient: {:.4} {}", o.value, interval(o.ci95));
-            let _ = writeln!(
-                out,
-                "{:>8} {:>14} {:>8} {:>18} {:>12} {:>7}",
-                "rpm", "sliding mm/s", "mu", "95 %", "torque N m", "trials"
-            );
-            for s in &o.speeds {
-                let _ = writeln!(
-                    out,
-                    "{:>8} {:>14.4} {:>8.4} {:>18} {:>12.6} {:>7}",
-                    s.speed_rpm,
-                    1e3 * s.sliding_m_s,
-                    s.coefficient.value,
-                    interval(s.coefficient.ci95),
-                    s.torque_nm,
-                    s.trials
-                );
-            }
+            let rows: Vec<Vec<String>> = o
+                .speeds
+                .iter()
+                .map(|s| {
+                    let [sliding, mu] = [1e3 * s.sliding_m_s, s.coefficient.value].map(|v| format!("{v:.4}"));
+                    let torque = format!("{:.6}", s.torque_nm);
+                    let interval = interval(s.coefficient.ci95);
+                    vec![s.speed_rpm.to_string(), sliding, mu, interval, torque, s.trials.to_string()]
+                })
+                .collect();
+            out += &table(&["rpm", "sliding mm/s", "mu", "95 %", "torque N m", "trials"], &rows);
             if let (Some(slope), Some(p)) = (o.slope_s_m, o.slope_p) {
                 let _ = writeln!(out, "  slope over sliding speed: {:.3} s/m (p = {p:.3})", slope.value);
             }

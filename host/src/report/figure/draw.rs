@@ -140,7 +140,7 @@ fn register_fonts() {
 
 /// Colours given out so far.
 #[derive(Default)]
-struct Colours {
+pub(super) struct Colours {
     of_label: HashMap<String, RGBColor>,
     next: usize,
 }
@@ -440,7 +440,7 @@ fn visible(points: &[(f64, f64)], frame: Frame, project: &impl Fn(f64, f64) -> P
         .collect()
 }
 
-fn series_colours(panel: &Panel, colours: &mut Colours) -> Vec<RGBColor> {
+pub(super) fn series_colours(panel: &Panel, colours: &mut Colours) -> Vec<RGBColor> {
     let mut before = None;
     panel
         .series

@@ -5,8 +5,10 @@
 
 mod axis;
 mod draw;
+pub mod interactive;
 mod trace;
 
+use super::page::Page;
 use crate::output::{self, Existing, OutputError};
 use std::path::Path;
 
@@ -33,8 +35,8 @@ pub enum FigureError {
     /// The PNG encoder refused.
     #[error("encoding the PNG failed")]
     Png(#[from] png::EncodingError),
-    /// The file name ends in neither `.svg` nor `.png`.
-    #[error("{0}: a figure is written as .svg or .png, name the file accordingly")]
+    /// The file name ends in none of `.svg`, `.png` and `.html`.
+    #[error("{0}: a figure is written as .svg, .png or .html, name the file accordingly")]
     Extension(String),
     /// The file could not be written.
     #[error(transparent)]
@@ -99,7 +101,7 @@ impl Figure {
         draw::png(self)
     }
 
-    /// Writes the figure to `path`, as SVG or PNG by its extension; a picture that is there is replaced.
+    /// Writes the figure to `path`, as SVG, PNG or a page to zoom in, by its extension; one that is there is replaced.
     ///
     /// # Errors
     /// Another extension, a size that cannot be drawn, or a file that cannot be written.
@@ -109,6 +111,10 @@ impl Figure {
         let bytes = match extension.as_ref().and_then(|e| e.to_str()) {
             Some("svg") => self.svg()?.into_bytes(),
             Some("png") => self.png()?,
+            Some("html") => Page::new(self.title.clone())
+                .figure(Self { title: String::new(), ..self.clone() }, "")
+                .html()
+                .into_bytes(),
             _ => return Err(FigureError::Extension(path.display().to_string())),
         };
         Ok(output::write(path, bytes, Existing::Keep)?)
