@@ -13,8 +13,9 @@ pub const POSSIBLE: f64 = 0.05;
 /// By how much the evidence overstates: with a third of the lead, 0.95 is 8.8 nats. On the generators that may be used for choosing what
 /// led by less was as often absent as there, and of what was there all but one in twenty led by 13 and more.
 pub const TEMPERATURE: f64 = 3.0;
-/// The same of closed loops, three records that each see everything at once: 0.95 is 12 nats, and what led by up to 10 was not there.
-pub const CLOSED_TEMPERATURE: f64 = 4.0;
+/// The same of closed loops, three records that each see everything at once: 0.95 is 18 nats; what led by up to 15 was not there, and
+/// what was there led by 36 and more.
+pub const CLOSED_TEMPERATURE: f64 = 6.0;
 /// Nats by which one of two effects that look alike has to lead: they differ by their form alone, and on the generators that may be used
 /// for choosing the wrong one led by up to 37.
 pub const ALIKE: f64 = 40.0;
