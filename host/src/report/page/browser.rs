@@ -33,7 +33,7 @@ pub(crate) fn show(html: &str, fragment: &str, script: &str, width_px: u32) -> O
     let run = format!(
         "<script>window.addEventListener(\"load\", () => setTimeout(() => {{{script}}}, 100));</script></body>"
     );
-    std::fs::write(&page, html.replacen("</body>", &run, 1)).expect("it can be written");
+    crate::output::rewrite(&page, html.replacen("</body>", &run, 1)).expect("it can be written");
     let output = Command::new(browser)
         .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
         .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
