@@ -8,7 +8,7 @@ use twum_tests::strength::{Floor, GRID_S, Refit, Traces};
 use twum_tests::suite::{Case, make};
 use twum_tests::truth::{Kind, Made, Request};
 
-const GENERATORS: [&str; 3] = ["b", "c", "d"];
+const GENERATORS: [&str; 2] = ["b", "c"];
 
 fn case(generator: &str, kind: Kind, seed: u64) -> Case {
     Case { generator: generator.to_owned(), kind, seed }
@@ -32,7 +32,7 @@ fn mean_rpm(run: &Run, edges_per_rev: u32) -> Option<f64> {
 /// Fails if a folder is not one the command can read, or the runs it holds are not those that were made.
 #[test]
 fn folders_are_what_the_command_reads() {
-    for generator in ["a", "b", "c", "d"] {
+    for generator in ["a", "b", "c"] {
         for kind in [Kind::Null, Kind::Outside, Kind::Closed] {
             let made = case(generator, kind, 3).make().expect("it can be made");
             let folder = tempfile::tempdir().expect("a temporary folder");
@@ -108,11 +108,10 @@ fn speeds_follow_the_duty() {
             let means: Vec<(u64, f64)> =
                 by_duty.iter().map(|(d, v)| (*d, v.iter().sum::<f64>() / v.len() as f64)).collect();
             // A run's own gain differs by some per cent.
-            let spread = made.truth.design.get("gain_spread").map_or(0.05, |s| (3.0 * s).max(0.05));
-            assert!(means.windows(2).all(|p| p[1].1 > (1.0 - spread) * p[0].1), "{generator} {seed}: {means:?}");
+            assert!(means.windows(2).all(|p| p[1].1 > 0.95 * p[0].1), "{generator} {seed}: {means:?}");
             let full = made.truth.motor.get("crest_rpm").or(made.truth.motor.get("full_rpm")).expect("it has a speed");
             if let Some((10_000, rpm)) = means.last() {
-                assert!((rpm / full - 1.0).abs() < spread, "{generator} {seed}: {rpm} of {full} rpm");
+                assert!((rpm / full - 1.0).abs() < 0.05, "{generator} {seed}: {rpm} of {full} rpm");
             }
         }
     }
@@ -131,12 +130,12 @@ fn what_is_hidden_is_in_the_data_and_in_no_other() {
         (mean(1.0) - mean(-1.0)).exp()
     };
     // Seeds whose experiment has many runs both ways, and whose form is a factor on the speed alone.
-    for (generator, seed) in [("b", 12), ("c", 11), ("d", 3)] {
+    for (generator, seed) in [("b", 12), ("c", 11)] {
         let request = Request { kind: Kind::Single, effects: vec!["direction-asymmetry".to_owned()], rho: Some(6.0) };
         let made = make(generator, seed, &request, false).expect("the effect can be hidden");
         let clean = make(generator, seed, &request, true).expect("it can be made without");
         let effect = &made.truth.effects[0];
-        assert!(effect.form == "speed" && made.truth.design["runs"] >= 20.0, "{effect:?}");
+        assert!(effect.form == "speed" && made.truth.design["runs"] >= 24.0, "{effect:?}");
         assert!(clean.truth.effects.is_empty() && clean.truth.motor == made.truth.motor);
         let g = effect.parameters["speed_asymmetry"];
         let (with, without) = (ratio(&made), ratio(&clean));
@@ -148,13 +147,13 @@ fn what_is_hidden_is_in_the_data_and_in_no_other() {
 }
 
 /// Fails if an effect cannot be hidden, comes weaker or stronger than said, or larger than makes sense. Every effect of
-/// the library and beyond it, a third of them from each generator.
+/// the library and beyond it, half of them from each generator.
 #[test]
 fn every_effect_can_be_hidden_as_strongly_as_said() {
     for (kind, effects) in [(Kind::Single, 16), (Kind::Outside, 8)] {
         for n in 0..effects {
-            let generator = GENERATORS[n as usize % 3];
-            let seed = n + n % 3 * effects;
+            let generator = GENERATORS[n as usize % 2];
+            let seed = if n % 2 == 0 { n } else { effects + n };
             let made = case(generator, kind, seed).make().expect("it can be made");
             let [effect] = made.truth.effects.as_slice() else { panic!("one effect") };
             assert!((0.9..13.0).contains(&effect.rho), "{generator} {seed}: {effect:?}");
