@@ -6,7 +6,7 @@
 //!   the budget of [`Limits`](crate::safety::Limits) it is a stall: a quarter of a second of full drive by default, 52°.
 //! - **Too few edges.** What the slowest motor that [`Limits`](crate::safety::Limits) allow for would have made of the drive is owed, and every edge
 //!   pays for itself. Nothing is forgiven with time, and nothing is paid in advance: a motor that turns at that speed or faster
-//!   owes an edge or two, whatever the reference; what is owed beyond [`OWED_SHARE_OF_TURN`] is a stall. So whatever the line
+//!   owes an edge or two, whatever the reference; what is owed beyond a share of a turn is a stall. So whatever the line
 //!   shows, and for however long, the slowest motor would have turned by no more than what is shown and that.
 
 use crate::Duty;
