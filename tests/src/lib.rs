@@ -9,11 +9,12 @@
 //! - [`profile`]: no rotor equation, but how speed rises and falls in a period, as smooth random curves;
 //! - [`contact`]: a rotor on a travelling wave, through a contact whose torque over the slip is drawn for each motor.
 //!
-//! The last three write [`folder`]s with a [`truth`] beside each, and share with one another that format and the
+//! The last three write [`folder`]s with a [`truth`] beside each, and share with one another that format, the way a run is driven and the
 //! definition of an effect's [`strength`]; [`contact`] takes its source of random numbers from [`profile`]. No more.
 
 pub mod carrier;
 pub mod contact;
+pub mod drive;
 pub mod experiment;
 pub mod first;
 pub mod folder;

@@ -104,6 +104,39 @@ pub struct Truth {
     pub design: BTreeMap<String, f64>,
 }
 
+impl Truth {
+    /// Of three closed loops, whose effect has no strength over a floor. `law` is the controller as the folder says it, `motor` and
+    /// `numbers` are the generator's own and those with a meaning beyond it; `none` hides nothing.
+    pub fn of_loops(
+        case: (&str, u64),
+        name: &str,
+        law: String,
+        numbers: BTreeMap<String, f64>,
+        motor: BTreeMap<String, f64>,
+        [edges_per_rev, runs]: [f64; 2],
+    ) -> Self {
+        let hidden = Hidden {
+            name: name.to_owned(),
+            form: law,
+            size: numbers.values().next().copied().unwrap_or(0.0),
+            rho: 0.0,
+            parameters: numbers,
+            coordinate: None,
+        };
+        Self {
+            generator: case.0.to_owned(),
+            seed: case.1,
+            kind: Kind::Closed,
+            effects: if name == "none" { Vec::new() } else { vec![hidden] },
+            floor_rpm: [0.0; 2],
+            effect_rpm: [0.0; 2],
+            oracle_gain: [0.0; 2],
+            motor,
+            design: [("edges_per_rev".to_owned(), edges_per_rev), ("runs".to_owned(), runs)].into(),
+        }
+    }
+}
+
 /// A made data set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Made {

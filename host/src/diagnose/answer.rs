@@ -1,7 +1,7 @@
 //! The answer: what other programs read, and the page a person reads.
 
+use super::conclusion::Outcome;
 use super::finding::{Estimate, Finding, Status, Unknown};
-use super::runs::Outcome;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

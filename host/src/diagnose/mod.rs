@@ -7,6 +7,7 @@
 pub mod answer;
 pub mod baseline;
 pub mod cache;
+pub mod conclusion;
 pub mod controller;
 pub mod discrepancy;
 pub mod evidence;
@@ -33,10 +34,11 @@ pub mod verdict;
 
 use crate::record::measurement::{Format, Measurement, Run, RunData, RunKind};
 use answer::Diagnosis;
+use conclusion::{Outcome, Settings};
 use observe::{Observed, observe};
 use problem::Problem;
 use rotor::{P, Parameters};
-use runs::{Outcome, Settings, diagnose_runs};
+use runs::diagnose_runs;
 
 /// Why nothing could be diagnosed.
 #[derive(Debug, thiserror::Error)]

@@ -2,9 +2,9 @@
 
 use super::Details;
 use super::answer::{Diagnosis, text};
+use super::conclusion::Outcome;
 use super::inertial::InertialOutcome;
 use super::problem::Problem;
-use super::runs::Outcome;
 use crate::report::figure::{Figure, Panel};
 use crate::report::page::Page;
 use serde_json::Value;
@@ -135,10 +135,10 @@ pub fn residual_figure(problem: &Problem, outcome: &Outcome) -> Figure {
             .filter(|v| v.is_finite())
             .fold((f64::MAX, f64::MIN), |a, v| (a.0.min(v), a.1.max(v)));
         let width = ((high - low) / count as f64).max(1e-9);
-        let mut sums = vec![(0.0, 0.0); count + 1];
+        let mut sums = vec![(0.0, 0.0); count];
         for s in &samples {
             if s[axis].is_finite() {
-                let k = (((s[axis] - low) / width) as usize).min(count);
+                let k = (((s[axis] - low) / width) as usize).min(count - 1);
                 sums[k].0 += s[column];
                 sums[k].1 += 1.0;
             }
@@ -146,7 +146,7 @@ pub fn residual_figure(problem: &Problem, outcome: &Outcome) -> Figure {
         sums.iter()
             .enumerate()
             .filter(|(_, s)| s.1 > 0.0)
-            .map(|(k, s)| (low + width * (k as f64 + if k == count { 0.0 } else { 0.5 }), s.0 / s.1))
+            .map(|(k, s)| (low + width * (k as f64 + 0.5), s.0 / s.1))
             .collect()
     };
     let panel = |label: &str, axis: usize, count: usize| {

@@ -10,11 +10,11 @@ use super::search::Set;
 pub const NAMED: f64 = 0.95;
 /// Least probability with which an effect is still mentioned as a rival.
 pub const POSSIBLE: f64 = 0.05;
-/// By how much the evidence overstates: with a third of the lead, 0.95 is 8.8 nats. On the generators that may be used for choosing what
-/// led by less was as often absent as there, and of what was there all but one in twenty led by 13 and more.
+/// By how much the evidence overstates: with a third of the lead, 0.95 is 8.8 nats. On the generators that may be used for choosing six
+/// of the thirteen effects that led by 5 to 9 nats were not there; nothing that was there led by 9 to 13.
 pub const TEMPERATURE: f64 = 3.0;
-/// The same of closed loops, three records that each see everything at once: 0.95 is 18 nats; what led by up to 15 was not there, and
-/// what was there led by 36 and more.
+/// The same of closed loops, three records that each see everything at once: 0.95 is 18 nats. What was not there led by up to 15; what
+/// was there led by 40 and more, but for one load (9) and what looks like another.
 pub const CLOSED_TEMPERATURE: f64 = 6.0;
 /// Nats by which one of two effects that look alike has to lead: they differ by their form alone, and on the generators that may be used
 /// for choosing the wrong one led by up to 37.

@@ -3,21 +3,9 @@
 use super::effects::Effect;
 use super::motor::{Factors, Motor};
 use super::smooth::{Table, normal};
+use crate::drive::Drive;
 use crate::profile::random::Dice;
 use std::f64::consts::TAU;
-
-/// What drives one run.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Drive {
-    /// On fraction that is asked for.
-    pub duty: f64,
-    /// 1 clockwise, -1 counter-clockwise.
-    pub sign: f64,
-    /// PWM frequency in Hz.
-    pub pwm_hz: f64,
-    /// End of the drive in s.
-    pub seconds: f64,
-}
 
 /// What happened before a run.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -1,7 +1,7 @@
 //! The bench: which runs are made in which order, the encoder's edges, and what the recorder is like.
 
-use super::acting::Drive;
 use super::smooth::normal;
+use crate::drive::Drive;
 use crate::profile::random::Dice;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

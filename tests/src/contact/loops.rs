@@ -6,7 +6,7 @@ use super::motor::{Factors, Motor, Rotor};
 use super::smooth::{Ring, normal};
 use crate::folder::{Folder, Record, Run, Tick};
 use crate::profile::random::Dice;
-use crate::truth::{Hidden, Kind, Made, Request, Truth};
+use crate::truth::{Made, Request, Truth};
 use fixed::types::{I16F48, I32F32};
 use std::collections::{BTreeMap, VecDeque};
 use std::f64::consts::TAU;
@@ -204,25 +204,8 @@ pub fn make(seed: u64, request: &Request) -> Result<Made, String> {
         numbers.insert("brake_over_contact".to_owned(), motor.brake / motor.contact);
     }
     let runs = (0..RUNS).map(|k| run(&motor, &law, &fault, edges, k, &mut dice)).collect();
-    let effect = Hidden {
-        name: name.to_owned(),
-        form: law.text(),
-        size: numbers.values().next().copied().unwrap_or(0.0),
-        rho: 0.0,
-        parameters: numbers,
-        coordinate: None,
-    };
-    let truth = Truth {
-        generator: "d".to_owned(),
-        seed,
-        kind: Kind::Closed,
-        effects: if name == "none" { Vec::new() } else { vec![effect] },
-        floor_rpm: [0.0; 2],
-        effect_rpm: [0.0; 2],
-        oracle_gain: [0.0; 2],
-        motor: motor.numbers(),
-        design: [("edges_per_rev".to_owned(), edges as f64), ("runs".to_owned(), RUNS as f64)].into(),
-    };
+    let design = [edges as f64, RUNS as f64];
+    let truth = Truth::of_loops(("d", seed), name, law.text(), numbers, motor.numbers(), design);
     Ok(Made { folder: Folder { name: format!("followed {seed}"), edges_per_rev: edges as u32, runs }, truth })
 }
 

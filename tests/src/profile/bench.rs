@@ -1,8 +1,9 @@
 //! The bench: which runs are made, the encoder on the shaft, and what the recorder writes down.
 
-use super::course::{CELL_S, Drive};
+use super::course::CELL_S;
 use super::effects::Effect;
 use super::random::Dice;
+use crate::drive::Drive;
 use crate::folder::Record;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

@@ -2,6 +2,7 @@
 
 use super::effects::{Now, Work};
 use super::random::{Dice, Smooth};
+use crate::drive::Drive;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
@@ -150,19 +151,6 @@ impl Curve {
     pub fn earlier(&self, y: f64, dt: f64) -> f64 {
         if y <= 0.0 { 0.0 } else { self.speed_at(self.time_of(y) - dt) }
     }
-}
-
-/// How one run is driven.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Drive {
-    /// On fraction that was asked for.
-    pub duty: f64,
-    /// 1 clockwise, -1 counter-clockwise.
-    pub sign: f64,
-    /// PWM frequency in Hz.
-    pub pwm_hz: f64,
-    /// End of the drive in s.
-    pub seconds: f64,
 }
 
 /// Follows one run: travelled angles in rad every [`CELL_S`] of true time, up to `until`.

@@ -1,7 +1,8 @@
 //! What this generator can hide: mostly smooth random functions of what an effect hangs on.
 
-use super::course::{Curve, Drive, Motor};
+use super::course::{Curve, Motor};
 use super::random::{Dice, Periodic, Smooth};
+use crate::drive::Drive;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 

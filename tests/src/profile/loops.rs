@@ -5,7 +5,7 @@
 use super::course::{Curve, Motor};
 use super::random::Dice;
 use crate::folder::{Folder, Record, Run, Tick};
-use crate::truth::{Hidden, Kind, Made, Request, Truth};
+use crate::truth::{Made, Request, Truth};
 use fixed::types::{I16F48, I32F32};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -161,25 +161,7 @@ pub fn make(seed: u64, request: &Request) -> Result<Made, String> {
         _ => {}
     }
     let runs = (0..3).map(|k| one(&motor, &named, &wrong, edges, k, &mut dice)).collect();
-    let effect = Hidden {
-        name: name.to_owned(),
-        form: named.toml(),
-        size: number.values().next().copied().unwrap_or(0.0),
-        rho: 0.0,
-        parameters: number,
-        coordinate: None,
-    };
-    let truth = Truth {
-        generator: "c".to_owned(),
-        seed,
-        kind: Kind::Closed,
-        effects: if name == "none" { Vec::new() } else { vec![effect] },
-        floor_rpm: [0.0; 2],
-        effect_rpm: [0.0; 2],
-        oracle_gain: [0.0; 2],
-        motor: motor.numbers(),
-        design: [("edges_per_rev".to_owned(), edges as f64), ("runs".to_owned(), 3.0)].into(),
-    };
+    let truth = Truth::of_loops(("c", seed), name, named.toml(), number, motor.numbers(), [edges as f64, 3.0]);
     Ok(Made { folder: Folder { name: format!("tracking {seed}"), edges_per_rev: edges as u32, runs }, truth })
 }
 

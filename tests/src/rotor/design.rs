@@ -1,7 +1,7 @@
 //! The experiment: which runs are made, in which order, with which encoder and recorder.
 
-use super::motion::Drive;
 use super::shape::{between, log_between, one_of};
+use crate::drive::Drive;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;

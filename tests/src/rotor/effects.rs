@@ -1,7 +1,7 @@
 //! What this generator can hide, and how it acts on the rotor, in forms drawn for each data set.
 
-use super::motion::Drive;
 use super::shape::{Curve, Rising, between, normal, one_of};
+use crate::drive::Drive;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;

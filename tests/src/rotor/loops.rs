@@ -6,7 +6,7 @@ use super::effects::Factors;
 use super::motion::{LISTED_CONTACT, Rotor};
 use super::shape::{between, log_between, normal, one_of};
 use crate::folder::{Folder, Record, Run, Tick};
-use crate::truth::{Hidden, Kind, Made, Request, Truth};
+use crate::truth::{Made, Request, Truth};
 use fixed::types::{I16F48, I32F32};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -59,25 +59,8 @@ pub fn make(seed: u64, request: &Request) -> Result<Made, String> {
     let law = Law::draw(&mut rng);
     let (fault, numbers) = Fault::draw(name, &mut rotor, &law, edges, &mut rng);
     let runs = (0..RUNS).map(|k| run(&rotor, &law, &fault, edges, k, rng.random())).collect();
-    let effects = (name != "none").then(|| Hidden {
-        name: name.to_owned(),
-        form: law.text(),
-        size: numbers.values().next().copied().unwrap_or(0.0),
-        rho: 0.0,
-        parameters: numbers,
-        coordinate: None,
-    });
-    let truth = Truth {
-        generator: "b".to_owned(),
-        seed,
-        kind: Kind::Closed,
-        effects: effects.into_iter().collect(),
-        floor_rpm: [0.0; 2],
-        effect_rpm: [0.0; 2],
-        oracle_gain: [0.0; 2],
-        motor: rotor.numbers(),
-        design: [("edges_per_rev".to_owned(), f64::from(edges)), ("runs".to_owned(), RUNS as f64)].into(),
-    };
+    let design = [f64::from(edges), RUNS as f64];
+    let truth = Truth::of_loops(("b", seed), name, law.text(), numbers, rotor.numbers(), design);
     Ok(Made { folder: Folder { name: format!("loop {seed}"), edges_per_rev: edges, runs }, truth })
 }
 

@@ -2,6 +2,7 @@
 
 use super::effects::{Acting, Factors};
 use super::shape::{between, log_between, one_of};
+use crate::drive::Drive;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
@@ -156,19 +157,6 @@ impl Rotor {
         }
         x
     }
-}
-
-/// What drives one run.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Drive {
-    /// On fraction that was asked for.
-    pub duty: f64,
-    /// 1 clockwise, -1 counter-clockwise.
-    pub sign: f64,
-    /// PWM frequency in Hz.
-    pub pwm_hz: f64,
-    /// End of the drive in s.
-    pub seconds: f64,
 }
 
 /// One step of the rotor: times, travelled angles and speeds at both ends.

@@ -25,6 +25,7 @@ pub(super) fn effect() -> Effect {
         ],
         reported: vec![
             reported("inverse_saturation_duty", "1", P::Saturation),
+            // The key is of the time when the power was two.
             reported("quadratic_bend", "1", P::Bend),
             reported("speed_lost_at_full_duty", "1", P::BendLoss),
             reported("bend_power", "1", P::BendPower),

@@ -323,6 +323,16 @@ impl Effect {
             || other.conflicts.contains(&self.name)
     }
 
+    /// Whether it acts in these runs, and they have too few duties to judge it by.
+    pub fn acts_unseen(&self, problem: &Problem) -> bool {
+        self.needs.contains(&Need::ThreeDuties) && not_judged(self, problem).is_some()
+    }
+
+    /// Whether the other, over duty or within pulses, would be named in its place where it cannot be judged.
+    pub fn is_mistaken_over_duty_for(&self, other: &Self) -> bool {
+        matches!(other.coordinate, Coordinate::Duty | Coordinate::Pulse) && self.looks_like(other)
+    }
+
     /// In how many ways it may act that no parameter joins: a choice among them is a choice made on the data.
     pub fn ways(&self) -> usize {
         (0..self.forms.len()).filter(|k| self.forms[..*k].iter().all(|f| f.differs(&self.forms[*k]))).count()
