@@ -558,7 +558,13 @@ impl<'a> Ground<'a> {
             if present.contains(&effect) || self.excluded(effect, &present) {
                 continue;
             }
-            for (k, form) in self.effects[effect].forms.iter().enumerate() {
+            // What a part changes already has one size.
+            let taken = |f: &Form| {
+                let free = |s: &Size| from.parts.iter().any(|p| p.free.iter().any(|f| f.parameter == s.parameter));
+                f.sizes.iter().any(free)
+            };
+            let forms_of = self.effects[effect].forms.iter().enumerate().filter(|(_, f)| !taken(f));
+            for (k, form) in forms_of {
                 let sizes: Vec<usize> = form.columns().into_iter().map(|c| place(&mut columns, c)).collect();
                 let shape: Vec<(P, f64)> = form.shapes.iter().map(|s| (s.parameter, s.start)).collect();
                 let pairs: Vec<usize> = form
