@@ -82,6 +82,26 @@ impl Set {
     }
 }
 
+#[cfg(test)]
+impl Set {
+    /// A set of these effects with a score and a squared error left, and nothing else to say of it.
+    pub fn of(effects: &[usize], score: f64, left: f64) -> Self {
+        let part = |effect: &usize| Part { effect: *effect, form: 0, free: Vec::new(), phased: Vec::new() };
+        let weighed = Weighed {
+            log: score,
+            left,
+            variance: 1.0,
+            taus: [0.01; 5],
+            gains: Vec::new(),
+            common: Vec::new(),
+            powers: Vec::new(),
+        };
+        let model = Model { parameters: Parameters::new(1.0, 1.0, 1.0, 0.0, 0.0), terms: Vec::new() };
+        let parts = effects.iter().map(part).collect();
+        Self { parts, model, score, weighed, terms: Vec::new(), courses: Vec::new(), expanded: false }
+    }
+}
+
 fn key(parts: &[Part]) -> Vec<usize> {
     let mut k: Vec<usize> = parts.iter().map(|p| p.effect).collect();
     k.sort_unstable();
