@@ -13,6 +13,7 @@ use super::carrier::CREEP_RAD_S;
 use super::contact::Contact;
 use super::half_contact_table::HalfContactTable;
 use super::modulation::Modulation;
+use super::momentary::{Complex, Momentary};
 use super::parameters::{Flavour, Parameters};
 use super::plant::{Drive, Segment};
 use super::stretches::Stretches;
@@ -26,60 +27,6 @@ const LONGEST_S: f64 = 1e-3;
 const SHORTEST_S: f64 = 1e-7;
 /// Changes smaller than this, as the same share, over all that is left of an interval are none.
 const STILL: f64 = 1e-5;
-
-/// A complex number; `num-complex` would be a dependency for four operations.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Complex {
-    re: f64,
-    im: f64,
-}
-
-impl Complex {
-    const ZERO: Complex = Complex { re: 0.0, im: 0.0 };
-
-    #[inline]
-    fn new(re: f64, im: f64) -> Self {
-        Complex { re, im }
-    }
-
-    #[inline]
-    fn times(self, o: Complex) -> Complex {
-        Complex::new(self.re * o.re - self.im * o.im, self.re * o.im + self.im * o.re)
-    }
-
-    #[inline]
-    fn scaled(self, k: f64) -> Complex {
-        Complex::new(self.re * k, self.im * k)
-    }
-
-    #[inline]
-    fn plus(self, o: Complex) -> Complex {
-        Complex::new(self.re + o.re, self.im + o.im)
-    }
-
-    #[inline]
-    fn minus(self, o: Complex) -> Complex {
-        Complex::new(self.re - o.re, self.im - o.im)
-    }
-
-    #[inline]
-    fn square(self) -> f64 {
-        self.re * self.re + self.im * self.im
-    }
-
-    #[inline]
-    fn inverse(self) -> Complex {
-        let k = 1.0 / self.square();
-        Complex::new(self.re * k, -self.im * k)
-    }
-
-    #[inline]
-    fn exp(self) -> Complex {
-        let (sin, cos) = self.im.sin_cos();
-        let e = self.re.exp();
-        Complex::new(e * cos, e * sin)
-    }
-}
 
 /// What a step needs of parameters and modulation.
 #[derive(Debug, Clone, Copy)]
@@ -168,45 +115,6 @@ struct Pressed {
     share: f64,
     /// The measure in which the wave is gone, 0 to 1.
     gone: f64,
-}
-
-/// What decides how the rotor moves on, its angle aside.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Momentary {
-    waves: [Complex; 2],
-    speed_rad_s: f64,
-    turning: f64,
-    bristle_rad: f64,
-}
-
-impl Momentary {
-    /// No wave, no motion.
-    pub(super) const REST: Momentary =
-        Momentary { waves: [Complex::ZERO; 2], speed_rad_s: 0.0, turning: 0.0, bristle_rad: 0.0 };
-
-    /// What two states are the same by.
-    pub(super) fn bits(&self) -> [u64; 7] {
-        let [cw, ccw] = self.waves;
-        [cw.re, cw.im, ccw.re, ccw.im, self.speed_rad_s, self.turning, self.bristle_rad].map(f64::to_bits)
-    }
-
-    pub(super) fn speed_rad_s(&self) -> f64 {
-        self.speed_rad_s
-    }
-
-    pub(super) fn at_rest(&self) -> bool {
-        *self == Momentary::REST
-    }
-
-    /// Weighted mean; the weights sum to 1.
-    pub(super) fn mean(parts: impl Iterator<Item = (Momentary, f64)>) -> Momentary {
-        parts.fold(Momentary::REST, |sum, (part, weight)| Momentary {
-            waves: [0, 1].map(|i| sum.waves[i].plus(part.waves[i].scaled(weight))),
-            speed_rad_s: sum.speed_rad_s + weight * part.speed_rad_s,
-            turning: sum.turning + weight * part.turning,
-            bristle_rad: sum.bristle_rad + weight * part.bristle_rad,
-        })
-    }
 }
 
 /// The averaged model of one motor.

@@ -4,8 +4,9 @@
 //! The grid is fine enough that the blend is within a few µs of the integrated edges (see the test); a search over effects
 //! is ten times faster for it.
 
-use super::averaged::{Averaged, Momentary};
+use super::averaged::Averaged;
 use super::modulation::Modulation;
+use super::momentary::Momentary;
 use super::plant::{Drive, Segment};
 
 /// Samples of a stretch, densest at its start where the wave changes.

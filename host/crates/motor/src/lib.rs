@@ -37,6 +37,7 @@ mod half_contact_table;
 pub mod inertial;
 mod lanes;
 pub mod modulation;
+mod momentary;
 pub mod motor;
 pub mod motor_plant;
 pub mod parameters;

@@ -3,8 +3,8 @@
 //! A motor that stops in every off part starts every period from rest. Under a control loop the period is cut into control
 //! ticks, but the PWM's grid and the ticks' have few phases against each other, so those pieces come again as well.
 
-use super::averaged::Momentary;
 use super::modulation::Modulation;
+use super::momentary::Momentary;
 use super::plant::{Drive, Segment};
 use std::collections::HashMap;
 

@@ -1,10 +1,12 @@
 //! Exercises as data files: the way points a neck goes through, and how long each move or hold takes.
 
 use super::kinematics::JOINTS;
-use super::path::PEAK_OVER_MEAN_VELOCITY;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use twum_shared::reference::MAX_WAY_POINTS;
+
+/// Peak velocity of the quintic that leads from pose to pose, over its mean velocity: `s'(1/2)` of `s(τ) = 10τ³ − 15τ⁴ + 6τ⁵`.
+pub const PEAK_OVER_MEAN_VELOCITY: f64 = 1.875;
 
 /// Joint ranges unless a file says otherwise, °: joint 2 leans the neck, and below 90° there are shoulders.
 const RANGE_DEG: [[f64; 2]; JOINTS] = [[-180.0, 180.0], [-90.0, 90.0], [-180.0, 180.0]];

@@ -16,9 +16,6 @@ pub struct Motion {
     pub deg_s2: f64,
 }
 
-/// Peak velocity of the quintic over its mean velocity: `s'(1/2)` of `s(τ) = 10τ³ − 15τ⁴ + 6τ⁵`.
-pub const PEAK_OVER_MEAN_VELOCITY: f64 = 1.875;
-
 /// The motion of all joints `time_s` after the start; before it and after the end they rest.
 pub fn motion(exercise: &Exercise, time_s: f64) -> [Motion; JOINTS] {
     let mut from = exercise.start_deg;
@@ -102,7 +99,7 @@ pub fn reference(exercise: &Exercise, joint: usize, edges_per_rev: u32) -> Refer
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exercise::{Exercise, Segment};
+    use crate::exercise::{Exercise, PEAK_OVER_MEAN_VELOCITY, Segment};
     use proptest::prelude::*;
 
     /// The thesis's own quintic, from the six end conditions solved as a linear system: the independent reference.

@@ -1,9 +1,9 @@
 //! `measurement.toml`.
 
-use super::table::{self, Budget};
+use super::lines::{self, Budget};
 use super::{
     ControlGains, ControlSpec, DEFAULT_EDGES_PER_REV, DEFAULT_PWM_HZ, Direction, Format, MANIFEST, MAX_RUNS,
-    Measurement, MeasurementError, Run, RunKind, packed,
+    Measurement, MeasurementError, Run, RunKind, packed, table,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -78,7 +78,7 @@ impl Files for Folder<'_> {
     }
 
     fn open(&self, path: &Path) -> Result<Box<dyn BufRead>, MeasurementError> {
-        table::open(path)
+        lines::open(path)
     }
 }
 

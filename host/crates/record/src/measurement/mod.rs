@@ -8,6 +8,7 @@
 
 mod control;
 mod error;
+mod lines;
 mod manifest;
 mod packed;
 mod table;

@@ -1,6 +1,6 @@
 //! The thesis's own text files: words of 32 samples printed in base 2 (thesis, C.1).
 
-use super::table::{self, Budget, Lines};
+use super::lines::{self, Budget, Lines};
 use super::{
     DEFAULT_EDGES_PER_REV, DEFAULT_PWM_HZ, Direction, Format, MAX_RUNS, Measurement, MeasurementError, Run, RunData,
     RunKind,
@@ -111,7 +111,7 @@ pub(super) fn load_folder(folder: &Path, direction: Direction) -> Result<Measure
                 control: None,
                 data: {
                     let path = folder.join(&file);
-                    table::read(table::open(&path)?, &path, Format::Packed, &mut budget)?
+                    read(&mut Lines::new(lines::open(&path)?, &path), &mut budget)?
                 },
                 file,
             })
