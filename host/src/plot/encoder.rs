@@ -6,6 +6,7 @@ use crate::record::recording::{BitsSegment, EdgesSegment};
 use crate::report::figure::Panel;
 use crate::signal::edges::{Directions, EdgeTrain};
 use crate::signal::smoother::smooth;
+use twum_fit::quantile::NORMAL_95;
 
 /// Records of more edges show the speed between neighbouring edges instead of the smoother's estimate.
 pub(super) const MAX_SMOOTHED_EDGES: usize = 20_000;
@@ -168,7 +169,7 @@ pub(super) fn smoothed_speed_panel(records: &[EncoderRecord], edges_per_rev: u32
         let Ok(smoothed) = smooth(&train, &at_us) else { continue };
         for index in 0..points {
             let at_s = record.offset_s + smoothed.time_us[index] * 1e-6;
-            let (rpm, spread) = (smoothed.speed_rpm[index], 1.96 * smoothed.speed_sd_rpm[index]);
+            let (rpm, spread) = (smoothed.speed_rpm[index], NORMAL_95 * smoothed.speed_sd_rpm[index]);
             line.push((at_s, rpm));
             band.push((at_s, rpm - spread, rpm + spread));
         }

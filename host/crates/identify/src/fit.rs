@@ -10,7 +10,8 @@ use super::circuit::{Circuit, Layout};
 use super::sweep::Sweep;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{Complex, DMatrix, DVector, Dyn, storage::Owned};
-use statrs::distribution::{ChiSquared, ContinuousCDF, StudentsT};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+use twum_fit::quantile::student_95;
 
 /// A fit this close (relative residual) knows |Y| better than the single points do.
 const CLOSE: f64 = 0.1;
@@ -88,14 +89,9 @@ impl Fit {
     pub fn interval(&self, extra: f64, of: impl Fn(&Circuit) -> f64) -> Option<[f64; 2]> {
         let value = of(&self.circuit());
         let se = self.standard_error(|c| of(c).ln())?.hypot(extra);
-        let t = student95(self.freedom());
+        let t = student_95(self.freedom());
         Some([value * (-t * se).exp(), value * (t * se).exp()])
     }
-}
-
-/// Two-sided 95 % quantile of Student's t.
-pub fn student95(freedom: f64) -> f64 {
-    StudentsT::new(0.0, 1.0, freedom.max(1.0)).map_or(1.96, |t| t.inverse_cdf(0.975))
 }
 
 fn weighted(residual: &[Complex<f64>], sigma: &[f64]) -> f64 {

@@ -3,6 +3,7 @@
 use super::{force_factor, friction, stator};
 use std::path::Path;
 use twum_files::output::{self, Existing, OutputError};
+use twum_fit::quantile::NORMAL_95;
 use twum_motor::motor::{Entry, Motor, MotorError};
 use twum_motor::parameters::Flavour;
 
@@ -57,7 +58,8 @@ pub fn save(path: &Path, base: &str, updates: &[Update]) -> Result<(), SaveError
         };
         let write = |entry: &mut Entry| {
             entry.value = update.value;
-            entry.uncertainty = update.ci95.map(|[low, high]| (high - low) / (2.0 * 1.96)).filter(|u| u.is_finite());
+            entry.uncertainty =
+                update.ci95.map(|[low, high]| (high - low) / (2.0 * NORMAL_95)).filter(|u| u.is_finite());
             entry.source.clone_from(&source);
         };
         let listed = motor.parameters.get_mut(update.name);

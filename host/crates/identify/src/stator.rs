@@ -9,6 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use twum_fit::quantile::{NORMAL_95, student_95};
 
 /// Force factor of the 30 mm PCBMotor in the thesis (N/V, section A.4), found there by trial.
 pub const THESIS_FORCE_FACTOR: f64 = 0.5439;
@@ -274,7 +275,7 @@ const NO_MODE: Mode = Mode { fs_hz: f64::NAN, c_f: f64::NAN, q: f64::NAN };
 /// Rd's interval through its conductance, which is what the data bound; an upper end beyond all bounds is null.
 fn rd_interval(fit: &Fit) -> Option<[f64; 2]> {
     let g = fit.circuit().loss_s;
-    let reach = fit::student95(fit.freedom()) * fit.standard_error(|c| c.loss_s)?;
+    let reach = student_95(fit.freedom()) * fit.standard_error(|c| c.loss_s)?;
     if g + reach <= 0.0 {
         return None;
     }
@@ -375,7 +376,7 @@ fn percentiles(replicates: &[Circuit], extra: f64, of: impl Fn(&Circuit) -> f64)
     let at = |share: f64| values[((values.len() - 1) as f64 * share).round() as usize];
     let middle = at(0.5);
     // A further independent uncertainty adds in quadrature to each half.
-    let widen = |end: f64| middle * ((end / middle).ln().hypot(1.96 * extra) * (end - middle).signum()).exp();
+    let widen = |end: f64| middle * ((end / middle).ln().hypot(NORMAL_95 * extra) * (end - middle).signum()).exp();
     Some(if extra > 0.0 { [widen(at(0.025)), widen(at(0.975))] } else { [at(0.025), at(0.975)] })
 }
 

@@ -8,12 +8,12 @@ pub mod setup;
 pub mod trials;
 pub mod windows;
 
-use super::fit::student95;
 use serde::Serialize;
 use setup::{FrictionError, Setup};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 use std::path::Path;
 use trials::{Set, Trial, Trials};
+use twum_fit::quantile::{NORMAL_95, student_95};
 
 /// A coefficient and its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -313,7 +313,7 @@ fn combine(setup: &Setup, with: &[(u32, f64)], without: Option<&[(u32, f64)]>) -
         };
         let value = factor * torque;
         let se = factor * variance.sqrt();
-        let reach = (student95(freedom) * se).hypot(1.96 * relative * value);
+        let reach = (student_95(freedom) * se).hypot(NORMAL_95 * relative * value);
         results.push(SpeedResult {
             speed_rpm: speed,
             sliding_m_s: setup.sliding_m_s(speed),
@@ -345,10 +345,10 @@ fn overall(speeds: Vec<SpeedResult>, variances: &[f64], freedoms: &[f64], relati
         FisherSnedecor::new(k - 1.0, freedoms.iter().sum()).map_or(f64::NAN, |d| 1.0 - d.cdf(between * k / pooled))
     });
     // Whichever is wider: scatter of trials, or of speeds.
-    let reach_within = student95(within_freedom) * within.sqrt();
-    let reach_between = student95(k - 1.0) * between.sqrt();
+    let reach_within = student_95(within_freedom) * within.sqrt();
+    let reach_between = student_95(k - 1.0) * between.sqrt();
     let reach = if homogeneous_p.is_some_and(|p| p < 0.05) { reach_within.max(reach_between) } else { reach_within };
-    let reach = reach.hypot(1.96 * relative * value);
+    let reach = reach.hypot(NORMAL_95 * relative * value);
     let (slope_s_m, slope_p) = slope(&speeds);
     Overall {
         value,
@@ -375,7 +375,7 @@ fn slope(speeds: &[SpeedResult]) -> (Option<Coefficient>, Option<f64>) {
     let b = sxy / sxx;
     let rss: f64 = speeds.iter().map(|s| (s.coefficient.value - my - b * (s.sliding_m_s - mx)).powi(2)).sum();
     let se = (rss / (n - 2.0) / sxx).sqrt();
-    let reach = student95(n - 2.0) * se;
+    let reach = student_95(n - 2.0) * se;
     let p = StudentsT::new(0.0, 1.0, n - 2.0).map_or(f64::NAN, |t| 2.0 * (1.0 - t.cdf((b / se).abs())));
     (Some(Coefficient { value: b, ci95: Some([b - reach, b + reach]) }), Some(p))
 }
