@@ -1,15 +1,15 @@
 //! From the sets that were visited to what is said of them: verdict, second opinion of runs held out, numbers, left-overs.
 
 use super::discrepancy::Term;
-use super::finding::{Finding, Status, Unknown};
+use super::finding::{Estimate, Finding, Status, Unknown};
 use super::held_out::{Chance, Scorer};
-use super::library::Coordinate;
+use super::library::{Coordinate, Effect};
 use super::numbers::estimates;
 use super::problem::{Model, Problem};
 use super::refit::{Noise, objective, refit};
 use super::search::{Ground, Part, Set, strip};
 use super::stats::{Group, HeldOut};
-use super::verdict::{Background, CLOSED_TEMPERATURE, Judgement, LEAST_GAIN, NAMED, TEMPERATURE, judge};
+use super::verdict::{Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, NAMED, TEMPERATURE, judge};
 
 /// What the search is asked to do.
 #[derive(Debug, Clone)]
@@ -152,23 +152,35 @@ impl View<'_> {
                 .map(|o| o.name.to_owned())
                 .collect();
             let one_of = self.standing.judged.set_of(part.effect).is_some();
-            let conflicts = match (once, one_of) {
+            let p_null = self.chance.p(&held);
+            let parameters = estimates(self.scorer, effect, accepted, part);
+            let by_chance = p_null > LARGEST_P || could_be_none(effect, part, &parameters);
+            let conflicts = match (once || by_chance && !one_of, one_of) {
                 (true, _) => effect.conflicts.iter().map(|c| (*c).to_owned()).collect(),
                 (_, true) => [self.rivals(part.effect), unseen].concat(),
                 _ => unseen,
             };
             Finding {
                 name: effect.name.to_owned(),
-                status: if once || one_of || !conflicts.is_empty() { Status::Ambiguous } else { Status::Named },
+                status: if once || by_chance || one_of || !conflicts.is_empty() {
+                    Status::Ambiguous
+                } else {
+                    Status::Named
+                },
                 probability: Some(inclusion(&self.standing.judged, part.effect)),
                 gain: held.gain(),
                 gain_interval: held.gain_interval(self.seed),
-                p_null: self.chance.p(&held),
-                parameters: estimates(self.scorer, effect, accepted, part),
+                p_null,
+                parameters,
                 conflicts,
                 next_experiment: effect.next_experiment.to_owned(),
                 share: 0.0,
-                note: String::new(),
+                note: if by_chance {
+                    "likely, but chance does as much to such runs, or its size could be none"
+                } else {
+                    ""
+                }
+                .to_owned(),
             }
         };
         accepted.parts.iter().map(one).collect()
@@ -214,6 +226,17 @@ impl View<'_> {
         };
         effects.into_iter().map(one).collect()
     }
+}
+
+/// Whether everything that makes the size of an effect could be 0.
+fn could_be_none(effect: &Effect, part: &Part, estimates: &[Estimate]) -> bool {
+    let form = &effect.forms[part.form];
+    let is_size = |e: &Estimate| {
+        let reported = effect.reported.iter().filter(|r| r.name == e.name);
+        reported.into_iter().any(|r| form.sizes.iter().any(|s| s.parameter == r.parameter))
+    };
+    let mut sizes = estimates.iter().filter(|e| is_size(e)).peekable();
+    form.phased.is_empty() && sizes.peek().is_some() && sizes.all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0)
 }
 
 /// Probability from which an effect needs no second opinion: that of runs held out is linear around the fit and knows of the noise only
