@@ -26,6 +26,8 @@ const PASSTHROUGH_MS: u64 = 60_000;
 const REPLY_MS: u32 = 2_000;
 /// A pause that ends a reply which has no line end.
 const QUIET_MS: u32 = 50;
+/// Whether an errand is over is looked at this often.
+const LOOK_MS: u64 = 5;
 
 /// Serves alignment and pass-through for ever. Nothing in the board's text mode ends a motion that has begun, so the
 /// board is never given more than [`LINE_MICROSTEPS`] at once, and more only while the errand lasts: a stop, a silent host, a
@@ -65,8 +67,14 @@ pub async fn serve<P: DriverPort, E: InputPin>(shared: &Shared, mut port: P, mut
 /// Waits until this errand is over because of a stop or a fault.
 async fn over(shared: &Shared, number: u32) {
     while shared.errand() == number {
-        Timer::after(Duration::from_millis(5)).await;
+        Timer::after(Duration::from_millis(LOOK_MS)).await;
     }
+}
+
+/// A line that was sent then is answered now: the next may last as long, and be begun just before its errand is seen to be over.
+fn answered(shared: &Shared, sent: Instant) {
+    let lasted = sent.elapsed() + Duration::from_millis(LOOK_MS);
+    shared.line_lasted(u32::try_from(lasted.as_micros()).unwrap_or(u32::MAX));
 }
 
 /// Ends what was being written, and waits until the edges have ceased.
@@ -93,7 +101,7 @@ async fn align<P: DriverPort, E: InputPin>(shared: &Shared, port: &mut P, encode
             Action::Ask { line, first_ms, quiet_ms, total_ms } => {
                 drain(port).await;
                 send(port, &line).await;
-                let reply = collect(port, first_ms, quiet_ms, total_ms).await;
+                let reply = collect(shared, port, first_ms, quiet_ms, total_ms).await;
                 alignment.next(if reply.is_empty() { AlignEvent::Silence } else { AlignEvent::Reply(&reply) })
             }
             Action::Do { line, wait_ms } => {
@@ -129,8 +137,9 @@ async fn drain<P: Read>(port: &mut P) {
 }
 
 /// The last bytes of a reply, up to a pause.
-async fn collect<P: Read>(port: &mut P, first_ms: u32, quiet_ms: u32, total_ms: u32) -> Vec<u8, 64> {
-    let deadline = Instant::now() + Duration::from_millis(u64::from(total_ms));
+async fn collect<P: Read>(shared: &Shared, port: &mut P, first_ms: u32, quiet_ms: u32, total_ms: u32) -> Vec<u8, 64> {
+    let sent = Instant::now();
+    let deadline = sent + Duration::from_millis(u64::from(total_ms));
     let mut reply: Vec<u8, 64> = Vec::new();
     let mut wait_ms = first_ms;
     let mut buffer = [0u8; 32];
@@ -139,6 +148,7 @@ async fn collect<P: Read>(port: &mut P, first_ms: u32, quiet_ms: u32, total_ms: 
         else {
             break;
         };
+        answered(shared, sent);
         for &byte in buffer.iter().take(length) {
             if reply.is_full() {
                 reply.remove(0);
@@ -163,15 +173,15 @@ async fn pass<P: DriverPort>(shared: &Shared, port: &mut P, line: &str) -> Resul
     for _ in 0..repeats.unwrap_or(1) {
         for &command in &line {
             match command {
-                Text::Microsteps { count, back } => step(port, count, back).await?,
+                Text::Microsteps { count, back } => step(shared, port, count, back).await?,
                 Text::SensorReport => {
-                    let reply = ask(port, &[Text::SensorReport], 1).await?;
+                    let reply = ask(shared, port, &[Text::SensorReport], 1).await?;
                     shared.tell(Event::DriverReply(reply.tail));
                 }
                 Text::StopWhen { .. } => {
                     // As in the thesis's own line: the second reading comes unless the condition ends the repetition.
                     let twice = [Text::SensorReport, command, Text::Repeat(2)];
-                    if ask(port, &twice, 2).await?.lines < 2 {
+                    if ask(shared, port, &twice, 2).await?.lines < 2 {
                         return Ok(());
                     }
                 }
@@ -187,11 +197,11 @@ async fn pass<P: DriverPort>(shared: &Shared, port: &mut P, line: &str) -> Resul
 }
 
 /// So many microsteps, a line's worth at a time.
-async fn step<P: DriverPort>(port: &mut P, count: u16, back: bool) -> Result<(), Silent> {
+async fn step<P: DriverPort>(shared: &Shared, port: &mut P, count: u16, back: bool) -> Result<(), Silent> {
     let mut left = count;
     while left > 0 {
         let count = left.min(LINE_MICROSTEPS);
-        ask(port, &[Text::Microsteps { count, back }, Text::SensorReport], 1).await?;
+        ask(shared, port, &[Text::Microsteps { count, back }, Text::SensorReport], 1).await?;
         left -= count;
     }
     Ok(())
@@ -204,7 +214,13 @@ struct Reply {
 }
 
 /// Sends a line and takes its reply, up to so many line ends or a pause.
-async fn ask<P: DriverPort>(port: &mut P, commands: &[Text], most_lines: usize) -> Result<Reply, Silent> {
+async fn ask<P: DriverPort>(
+    shared: &Shared,
+    port: &mut P,
+    commands: &[Text],
+    most_lines: usize,
+) -> Result<Reply, Silent> {
+    let sent = Instant::now();
     send(port, &Line::from_slice(commands).unwrap_or_default()).await;
     let mut reply = Reply { tail: Vec::new(), lines: 0 };
     let mut wait_ms = REPLY_MS;
@@ -212,6 +228,7 @@ async fn ask<P: DriverPort>(port: &mut P, commands: &[Text], most_lines: usize) 
     while reply.lines < most_lines {
         match with_timeout(Duration::from_millis(u64::from(wait_ms)), port.read(&mut byte)).await {
             Ok(Ok(1)) => {
+                answered(shared, sent);
                 if reply.tail.is_full() {
                     reply.tail.remove(0);
                 }

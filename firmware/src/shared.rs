@@ -116,6 +116,7 @@ pub struct Shared {
     requested_fault: AtomicU8,
     errand: AtomicU32,
     driver_busy: AtomicBool,
+    line_us: AtomicU32,
     holder: AtomicU32,
     host_frames: AtomicU32,
     bad_frames: AtomicU32,
@@ -151,6 +152,7 @@ impl Shared {
             requested_fault: AtomicU8::new(0),
             errand: AtomicU32::new(0),
             driver_busy: AtomicBool::new(false),
+            line_us: AtomicU32::new(0),
             holder: AtomicU32::new(0),
             host_frames: AtomicU32::new(0),
             bad_frames: AtomicU32::new(0),
@@ -288,6 +290,17 @@ impl Shared {
 
     pub(crate) fn driver_rests(&self) {
         self.driver_busy.store(false, Ordering::Release);
+        self.line_us.store(0, Ordering::Relaxed);
+    }
+
+    /// The driver board was seen to be busy with one line for so long.
+    pub(crate) fn line_lasted(&self, line_us: u32) {
+        self.line_us.fetch_max(line_us, Ordering::Relaxed);
+    }
+
+    /// For how long the driver board may go on by itself once its errand is over: the longest line of this errand, µs.
+    pub(crate) fn line_us(&self) -> u32 {
+        self.line_us.load(Ordering::Relaxed)
     }
 
     pub(crate) fn host_spoke(&self) {

@@ -1,10 +1,19 @@
 //! The `twum` command.
 
+/// As the standard one, but a message that nobody can read any more ends nothing: the standard one panics, which would take
+/// the place of the exit code that a run has come to.
+macro_rules! eprintln {
+    ($($message:tt)*) => {{
+        use std::io::Write as _;
+        _ = writeln!(std::io::stderr(), $($message)*);
+    }};
+}
+
 mod cli;
 
 use clap::Parser;
 use std::any::Any;
-use std::io::{ErrorKind, Write};
+use std::io::ErrorKind;
 use std::panic::{self, catch_unwind, resume_unwind};
 use std::process::ExitCode;
 
@@ -21,13 +30,12 @@ fn main() -> ExitCode {
             cli::exit::decided()
         }
         Ok(Err(error)) => {
-            // A terminal that is gone reads no message.
-            let _ = writeln!(std::io::stderr(), "error: {error:#}");
+            eprintln!("error: {error:#}");
             ExitCode::from(cli::exit::code_of(&error))
         }
         Err(payload) if is_closed_stdout(payload.as_ref()) => cli::exit::decided(),
         Err(payload) if failed_stdout(payload.as_ref()).is_some() => {
-            let _ = writeln!(std::io::stderr(), "error: {}", failed_stdout(payload.as_ref()).unwrap_or_default());
+            eprintln!("error: {}", failed_stdout(payload.as_ref()).unwrap_or_default());
             cli::exit::decided_or_failed()
         }
         Err(payload) => resume_unwind(payload),

@@ -20,6 +20,20 @@ fn a_closed_reader_is_no_failure() {
 }
 
 #[test]
+fn a_fault_beside_a_closed_reader_is_still_a_fault() {
+    let arguments = ["track", "--port", "sim", "--step", "200", "--max-following-error", "20", "--seconds", "1"];
+    let mut child = Command::new(env!("CARGO_BIN_EXE_twum"))
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    drop(child.stderr.take());
+    assert_eq!(child.wait().unwrap().code(), Some(3));
+}
+
+#[test]
 fn other_failures_keep_their_code() {
     let code = |arguments: &[&str]| {
         let ended = Command::new(env!("CARGO_BIN_EXE_twum")).args(arguments).output().unwrap();

@@ -20,6 +20,8 @@ pub(super) struct Seen {
     pub position: i32,
     pub edges: u32,
     pub host_frames: u32,
+    /// For how long the driver board goes on by itself after its errand is over, µs.
+    pub line_us: u32,
     /// The drive since the tick before.
     pub duty: Duty,
     pub direction: Direction,
@@ -70,7 +72,10 @@ impl Monitor {
         if seen.live && overrun {
             return Some(Fault::LoopOverrun);
         }
-        if self.silent_us > u32::from(limits.command_timeout_ms) * 1_000 {
+        // What the driver board does by itself ends with its line, and so the line has to end within the timeout. However slow the board
+        // is, half of it is left for the next sign of life.
+        let timeout_us = u32::from(limits.command_timeout_ms) * 1_000;
+        if self.silent_us.saturating_add(seen.line_us.min(timeout_us / 2)) > timeout_us {
             return Some(Fault::CommandTimeout);
         }
         if !seen.live {

@@ -54,6 +54,7 @@ impl<S: OutputStage> Control<'_, S> {
             position,
             edges: self.shared.encoder.edges(),
             host_frames: self.shared.host_frames(),
+            line_us: self.shared.line_us(),
             duty: self.output.duty(),
             direction: self.output.direction(),
             lost_in_a_row: self.lost.in_a_row,

@@ -56,5 +56,5 @@ pub fn run(args: Args) -> Result<ExitCode> {
         }
     })?;
     waiting.finish_and_clear();
-    args.record.conclude(&outcome, None)
+    args.record.conclude(&outcome, None, None)
 }

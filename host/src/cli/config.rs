@@ -40,6 +40,9 @@ enum Command {
     Dump {
         #[command(flatten)]
         connect: ConnectArgs,
+        /// Print the same as JSON
+        #[arg(long)]
+        json: bool,
     },
     /// Send a file to the board, which keeps it; what the file leaves out stays as it is
     Load {
@@ -115,7 +118,14 @@ pub fn run(args: Args) -> Result<ExitCode> {
                 rows.iter().for_each(|(key, value)| println!("{key:<32}{value}"));
             }
         }
-        Command::Dump { connect } => print!("{}", to_toml(&held(&connect)?)),
+        Command::Dump { connect, json } => {
+            let text = to_toml(&held(&connect)?);
+            if json {
+                println!("{}", serde_json::to_string(&text.parse::<toml::Table>()?)?);
+            } else {
+                print!("{text}");
+            }
+        }
         Command::Load { connect, file, json } => return load(&connect, &file, json),
         Command::Path { json } => {
             let path = defaults::path()?;

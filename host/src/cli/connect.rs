@@ -194,7 +194,7 @@ pub struct RecordArgs {
     allow_loss: bool,
     /// Print the outcome as JSON
     #[arg(long)]
-    json: bool,
+    pub json: bool,
 }
 
 impl RecordArgs {
@@ -209,8 +209,13 @@ impl RecordArgs {
         }
     }
 
-    /// Prints how it went.
-    pub fn conclude(&self, outcome: &Outcome, motor: Option<&RunFigures>) -> Result<ExitCode> {
+    /// Prints how it went, and as JSON what the driver board replied, if it was asked.
+    pub fn conclude(
+        &self,
+        outcome: &Outcome,
+        motor: Option<&RunFigures>,
+        replies: Option<&[String]>,
+    ) -> Result<ExitCode> {
         let verdict = self.verdict(outcome);
         exit::decide(&verdict);
         let end = outcome.run.map(|run| run.end);
@@ -225,7 +230,7 @@ impl RecordArgs {
                 "{}",
                 serde_json::json!({
                     "interrupted": outcome.interrupted, "fault": fault, "run_s": seconds, "link": tally,
-                    "recorded_frames": outcome.recorded, "recording": self.out, "motor": motor,
+                    "recorded_frames": outcome.recorded, "recording": self.out, "motor": motor, "replies": replies,
                 })
             );
         } else {

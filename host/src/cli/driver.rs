@@ -37,13 +37,17 @@ pub fn run(args: Args) -> Result<ExitCode> {
         recording: args.record.out.clone(),
         motor: String::new(),
     };
+    let mut replies = Vec::new();
     let outcome = args.connect.perform(experiment, |received| {
         if let DeviceMessage::DriverReply(bytes) = &received.message {
             let reply = String::from_utf8_lossy(bytes);
             let lines: Vec<String> = reply.split('\n').map(|line| printable(line.trim_end_matches('\r'))).collect();
-            // A closed stdout ends the printing, not the capture.
-            let _ = std::io::stdout().write_all(lines.join("\n").as_bytes());
+            if !args.record.json {
+                // A closed stdout ends the printing, not the capture.
+                let _ = std::io::stdout().write_all(lines.join("\n").as_bytes());
+            }
+            replies.extend(lines.into_iter().filter(|line| !line.is_empty()));
         }
     })?;
-    args.record.conclude(&outcome, None)
+    args.record.conclude(&outcome, None, Some(&replies))
 }

@@ -75,7 +75,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         bail!("{} or --port: a recording is followed, a port is watched; not both", recording.display());
     }
     match &args.recording {
-        Some(recording) if args.once => print_once(recording),
+        Some(recording) if args.once => print_once(recording, args.record.json),
         _ if !std::io::stdout().is_terminal() && args.foxglove.is_none() => {
             bail!("this view needs a terminal; `--once` prints one screen of a recording, `--foxglove` serves it")
         }
@@ -84,10 +84,16 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
 }
 
-fn print_once(recording: &Path) -> Result<ExitCode> {
+fn print_once(recording: &Path, json: bool) -> Result<ExitCode> {
     let mut decoder = Decoder::open(recording)?;
     let mut view = LiveView::new();
     take_all(&mut decoder, &mut view)?;
+    if json {
+        let notes: Vec<&str> = view.notes_after(0).0.collect();
+        let latest = view.history().last();
+        println!("{}", serde_json::json!({ "latest": latest, "link": decoder.statistics(), "notes": notes }));
+        return Ok(ExitCode::SUCCESS);
+    }
     let mut terminal = Terminal::new(TestBackend::new(120, 40))?;
     terminal.draw(|frame| draw(&view, frame, &recording.display().to_string(), decoder.statistics()))?;
     for row in terminal.backend().buffer().content.chunks(120) {
@@ -225,7 +231,7 @@ fn watch(connect: &ConnectArgs, record: &RecordArgs, screen: Screen) -> Result<E
     // Being told to end is how a view ends.
     let outcome = Outcome { interrupted: false, ..outcome? };
     drawn?;
-    record.conclude(&outcome, None)
+    record.conclude(&outcome, None, None)
 }
 
 fn show_received(receiver: &Receiver<Received>, mut screen: Screen) -> Result<()> {

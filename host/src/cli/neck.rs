@@ -148,6 +148,9 @@ struct StudyArgs {
     /// CSV file [default: standard output]
     #[arg(long, value_name = "FILE.csv")]
     out: Option<PathBuf>,
+    /// Print the cases as JSON
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     existing: ExistingArgs,
     /// Print the study file that is used when none is given
@@ -304,9 +307,13 @@ fn study(args: &StudyArgs) -> Result<ExitCode> {
     let table = table.into_inner()?;
     match &args.out {
         Some(file) => output::write(file, table, args.existing.into())?,
+        None if args.json => {}
         None => emit(&table)?,
     }
-    let refused = rows.iter().filter(|row| !row.refused.is_empty()).count();
+    if args.json {
+        emit(format!("{}\n", serde_json::to_string(&rows)?).as_bytes())?;
+    }
+    let refused = rows.iter().filter(|row| row.refused.is_some()).count();
     eprintln!("{} cases, {refused} of them refused", rows.len());
     if rows.len() < study.cases() {
         eprintln!("error: interrupted: {} of {} cases are in the table", rows.len(), study.cases());

@@ -27,24 +27,26 @@ pub struct Args {
     /// Width and height in pixels, as 1000x1200
     #[arg(long, value_name = "WxH")]
     size: Option<String>,
+    /// Print as JSON what was written and what is missing in it
+    #[arg(long)]
+    json: bool,
 }
 
 /// Runs `twum plot`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let waiting = stage("reading");
-    let mut figure = if args.input.is_dir() {
-        measurement_figure(&load_runs(&args.input)?.0, args.run.as_deref())?
+    let (mut figure, losses) = if args.input.is_dir() {
+        (measurement_figure(&load_runs(&args.input)?.0, args.run.as_deref())?, Vec::new())
     } else {
         if args.run.is_some() {
             bail!("--run chooses a run of a measurement folder; {} is a recording", args.input.display());
         }
         let title = args.input.file_stem().map_or_else(Default::default, |stem| stem.to_string_lossy());
-        let (figure, losses) = recording_figure(&args.input, &title)?;
-        for line in losses {
-            eprintln!("warning: {}: {line}", args.input.display());
-        }
-        figure
+        recording_figure(&args.input, &title)?
     };
+    for line in &losses {
+        eprintln!("warning: {}: {line}", args.input.display());
+    }
     waiting.finish_and_clear();
     if let Some(size) = &args.size {
         let (width, height) = size
@@ -55,5 +57,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     figure.write(&args.out)?;
     eprintln!("wrote {}", args.out.display());
+    if args.json {
+        println!("{}", serde_json::json!({ "wrote": args.out, "losses": losses }));
+    }
     Ok(ExitCode::SUCCESS)
 }

@@ -56,7 +56,7 @@ pub fn make(
     };
     // A run too short to say anything of, or cut short, still has its frames: no figures are no failure.
     let figures = measurement.and_then(|measurement| RunFigures::of(&measurement).ok().flatten());
-    record.conclude(&outcome, figures.as_ref())
+    record.conclude(&outcome, figures.as_ref(), None)
 }
 
 fn in_memory(kept: Gathering) -> Option<Measurement> {

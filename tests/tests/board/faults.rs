@@ -432,7 +432,10 @@ fn a_brown_out_at_any_moment_of_alignment_leaves_the_motor_off_and_can_be_aligne
             let mut bench = Bench::new(Setup { driver: DriverHealth::Well, ..Setup::default() });
             bench.session.configure(default_configuration()).expect("configuration");
             bench.session.begin_alignment().expect("the link is up");
-            for _ in 0..after_ms {
+            for ms in 0..after_ms {
+                if ms % 100 == 0 {
+                    bench.session.keep_alive().expect("the link is up");
+                }
                 bench.board().run_for(1_000);
                 assert!(bench.board().output_is_off(), "alignment goes without PWM");
             }

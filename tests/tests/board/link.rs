@@ -123,6 +123,28 @@ impl Port for Cable {
 }
 
 #[test]
+fn a_cable_that_does_not_come_back_is_waited_for_a_minute_and_no_longer() {
+    let board = Rc::new(RefCell::new(SimulatedLink::new(Setup::default())));
+    let mut session = Session::new(Cable { board: board.clone(), pulled_at: Duration::from_secs(3) });
+    let experiment = Experiment {
+        configuration: Some(default_configuration()),
+        capture: CaptureMode::default(),
+        action: Action::Speed(speed(Duty::from_ratio(1, 2), Direction::Cw, 5_000)),
+        recording: None,
+        motor: String::new(),
+    };
+    let mut asked = 0;
+    let mut reopen = || {
+        asked += 1;
+        board.borrow_mut().board().run_for(10_000_000);
+        Err(LinkError::Lost { port: "cable".to_owned(), reason: "still gone".to_owned() })
+    };
+    let ended = perform(&mut session, &experiment, Some(&mut reopen), |_| {});
+    assert!(matches!(ended, Err(LinkError::Lost { .. })), "{:?}", ended.map(|outcome| outcome.tally));
+    assert!((5..=10).contains(&asked), "asked every ten seconds for {asked} times");
+}
+
+#[test]
 fn a_pulled_cable_leaves_the_motor_off_and_the_recording_goes_on_with_its_gap_marked() {
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("pulled.mcap");

@@ -1,7 +1,7 @@
 //! The driver board's own motion: nothing ends it within a line, so everything has to end it between lines.
 
 use crate::bench::{Bench, default_configuration};
-use twum_host::sim::{Disturbance, Setup};
+use twum_host::sim::{Disturbance, DriverHealth, Setup};
 use twum_shared::Fault;
 use twum_shared::driver::LINE_MICROSTEPS;
 use twum_shared::message::{DeviceMessage, Mode, ResetCause};
@@ -60,23 +60,58 @@ fn while_the_driver_board_still_moves_the_board_says_stopping() {
     assert!(!done, "a line that was stopped is not done");
 }
 
+/// How long the rotor goes on after the host was heard for the last time, ms.
+fn goes_on_ms(bench: &mut Bench) -> u64 {
+    bench.session.keep_alive().unwrap();
+    let (mut last_deg, mut last_ms) = (angle_deg(bench), 0);
+    for ms in 1..2_000 {
+        bench.board().run_for(1_000);
+        let now_deg = angle_deg(bench);
+        if now_deg != last_deg {
+            (last_deg, last_ms) = (now_deg, ms);
+        }
+    }
+    last_ms
+}
+
 #[test]
 fn a_silent_host_ends_a_driver_line_and_an_alignment_by_the_command_timeout() {
-    let mut bench = passing();
-    let before_deg = angle_deg(&mut bench);
-    bench.board().run_for(700_000);
-    let after_deg = angle_deg(&mut bench);
-    bench.board().run_for(60_000_000);
-    assert_eq!(angle_deg(&mut bench), after_deg);
-    // At most half a second of microsteps of 2 ms, and a line.
-    assert!(after_deg - before_deg <= 0.05 * 250.0 + LINE_DEG, "{before_deg}° to {after_deg}°");
-    assert_eq!(bench.session.hello().unwrap().fault, Some(Fault::CommandTimeout));
+    // At every moment of a piece, which lasts for some 50 ms: the one that is going on has ended by then too.
+    let timeout_ms = u64::from(default_configuration().limits.command_timeout_ms);
+    for after_ms in (0..60).step_by(6) {
+        let mut bench = passing();
+        bench.wait(after_ms);
+        let went_on_ms = goes_on_ms(&mut bench);
+        assert!((timeout_ms - 200..=timeout_ms).contains(&went_on_ms), "{after_ms} ms: {went_on_ms} ms");
+        let after_deg = angle_deg(&mut bench);
+        bench.board().run_for(60_000_000);
+        assert_eq!(angle_deg(&mut bench), after_deg);
+        assert_eq!(bench.session.hello().unwrap().fault, Some(Fault::CommandTimeout));
+    }
 
-    let mut bench = Bench::new(Setup { start_pitch: 0.05, ..Setup::default() });
-    bench.session.begin_alignment().unwrap();
-    bench.board().run_for(700_000);
-    assert_eq!(bench.session.hello().unwrap().fault, Some(Fault::CommandTimeout));
-    assert_eq!(bench.board().mode(), Mode::Fault);
+    for after_ms in (0..400).step_by(40) {
+        let mut bench = Bench::new(Setup { start_pitch: 0.05, ..Setup::default() });
+        bench.session.begin_alignment().unwrap();
+        bench.wait(after_ms);
+        let went_on_ms = goes_on_ms(&mut bench);
+        assert!(went_on_ms <= timeout_ms, "{after_ms} ms: {went_on_ms} ms");
+        assert_eq!(bench.session.hello().unwrap().fault, Some(Fault::CommandTimeout), "{after_ms} ms");
+        assert_eq!(bench.board().mode(), Mode::Fault);
+    }
+}
+
+#[test]
+fn a_slow_driver_board_is_no_silent_host() {
+    // 10 ms a microstep: a line lasts for 0.2 s, two fifths of the timeout.
+    let mut bench = Bench::new(Setup { driver: DriverHealth::Slow, ..Setup::default() });
+    bench.session.driver(heapless::String::try_from("u200").unwrap()).unwrap();
+    bench.wait(3_000);
+    assert!(
+        bench.seen.iter().any(|received| received.message == DeviceMessage::DriverDone),
+        "{:?}",
+        bench.board().mode()
+    );
+    assert!((angle_deg(&mut bench) - 10.0).abs() < 1e-9);
 }
 
 #[test]

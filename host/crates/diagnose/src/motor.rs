@@ -242,8 +242,8 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
         "dead-zone" => {
             vec![("threshold_duty", of(P::DeadDuty)), ("gate_duty", of(P::GateDuty)), ("gate_width", of(P::GateWidth))]
         }
-        "start-delay" => vec![("delay_s", of(P::StartDelay))],
-        "duty-quantisation" => vec![("step", 1.0 / of(P::QuantSteps))],
+        "start-delay" => vec![("delay_s", of(P::StartDelay)), ("rest_s", of(P::DelayRest))],
+        "duty-quantisation" => vec![("step", 1.0 / of(P::QuantSteps)), ("down", of(P::QuantDown))],
         "high-duty-saturation" => {
             let losses: Vec<f64> = up_to(1.0).iter().map(|u| u.powf(of(P::BendPower))).collect();
             vec![
@@ -267,6 +267,9 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
             ("gain", convert.voltage(of(P::AsymSpeed), &[1.0, -1.0]).ok_or(NOT_REACHED)?),
             ("braking", of(P::AsymBrake)),
         ],
+        "supply-sag" if of(P::Sag) == 0.0 => {
+            return Err("a loss over the duty alone is written as high-duty-saturation");
+        }
         "supply-sag" => {
             vec![("sag", -convert.voltage(-of(P::Sag), &up_to(1.0)).ok_or(NOT_REACHED)?), ("tau_s", of(P::SagTime))]
         }

@@ -82,6 +82,26 @@ impl Set {
     }
 }
 
+#[cfg(test)]
+impl Set {
+    /// A set of these effects with a score and a squared error left, and nothing else to say of it.
+    pub fn of(effects: &[usize], score: f64, left: f64) -> Self {
+        let part = |effect: &usize| Part { effect: *effect, form: 0, free: Vec::new(), phased: Vec::new() };
+        let weighed = Weighed {
+            log: score,
+            left,
+            variance: 1.0,
+            taus: [0.01; 5],
+            gains: Vec::new(),
+            common: Vec::new(),
+            powers: Vec::new(),
+        };
+        let model = Model { parameters: Parameters::new(1.0, 1.0, 1.0, 0.0, 0.0), terms: Vec::new() };
+        let parts = effects.iter().map(part).collect();
+        Self { parts, model, score, weighed, terms: Vec::new(), courses: Vec::new(), expanded: false }
+    }
+}
+
 fn key(parts: &[Part]) -> Vec<usize> {
     let mut k: Vec<usize> = parts.iter().map(|p| p.effect).collect();
     k.sort_unstable();
@@ -558,7 +578,13 @@ impl<'a> Ground<'a> {
             if present.contains(&effect) || self.excluded(effect, &present) {
                 continue;
             }
-            for (k, form) in self.effects[effect].forms.iter().enumerate() {
+            // What a part changes already has one size.
+            let taken = |f: &Form| {
+                let free = |s: &Size| from.parts.iter().any(|p| p.free.iter().any(|f| f.parameter == s.parameter));
+                f.sizes.iter().any(free)
+            };
+            let forms_of = self.effects[effect].forms.iter().enumerate().filter(|(_, f)| !taken(f));
+            for (k, form) in forms_of {
                 let sizes: Vec<usize> = form.columns().into_iter().map(|c| place(&mut columns, c)).collect();
                 let shape: Vec<(P, f64)> = form.shapes.iter().map(|s| (s.parameter, s.start)).collect();
                 let pairs: Vec<usize> = form

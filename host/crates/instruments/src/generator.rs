@@ -4,6 +4,7 @@
 //! numbers: the thesis's listing leaves out the comma between them for the second channel and so asks for 60 Vpp.
 
 use super::scpi::{InstrumentError, Scpi};
+use std::io::Write;
 use std::time::Duration;
 
 /// How long a setting may take to show when read back.
@@ -153,7 +154,11 @@ impl Drop for Generator {
         if !self.off
             && let Err(error) = self.off()
         {
-            eprintln!("warning: the generator's outputs could not be confirmed off ({error}): switch them off by hand");
+            // A message that nobody can read must not end the program in the middle of its end.
+            let _ = writeln!(
+                std::io::stderr(),
+                "warning: the generator's outputs could not be confirmed off ({error}): switch them off by hand"
+            );
         }
     }
 }

@@ -333,6 +333,27 @@ mod tests {
     }
 
     #[test]
+    fn a_line_without_an_end_is_given_up_after_its_bound() {
+        let server = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = server.local_addr().unwrap().to_string();
+        let endless = std::thread::spawn(move || {
+            let (mut stream, _) = server.accept().unwrap();
+            // Until the other side has had enough.
+            let mut sent = 0_usize;
+            while let Ok(count) = stream.write(&[b'x'; READ]) {
+                sent += count;
+            }
+            sent
+        });
+        let mut scpi = Scpi::open(&address).unwrap();
+        let error = scpi.query("*IDN?").unwrap_err().to_string();
+        assert!(error.contains("without a line end"), "{error}");
+        drop(scpi);
+        // What the line itself holds, and no more, was taken off the instrument.
+        assert!(endless.join().unwrap() < 64 << 20);
+    }
+
+    #[test]
     fn what_cannot_become_a_block_is_refused_at_its_first_wrong_byte() {
         for (bytes, found) in [
             (&b"1.0\n"[..], "1.0\n"),

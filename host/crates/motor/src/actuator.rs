@@ -23,7 +23,9 @@ pub fn effective_duty(effects: &EffectSet, duty: f64) -> f64 {
     if let Some(e) = effects.duty_quantisation
         && e.step > 0.0
     {
-        u = ((u / e.step).round() * e.step).min(1.0);
+        // A whole number of steps may come out of the division a little below itself.
+        let steps = if e.down > 0.5 { (u / e.step + 1e-9).floor() } else { (u / e.step).round() };
+        u = (steps * e.step).min(1.0);
     }
     if let Some(e) = effects.dead_zone {
         u = (u - e.threshold_duty).max(0.0);
@@ -39,6 +41,12 @@ pub fn effective_duty(effects: &EffectSet, duty: f64) -> f64 {
     u.min(1.0)
 }
 
+/// How late the supply comes on (s) at a rise of the pin after it was off for `rest_s`.
+pub fn start_delay_s(effects: &EffectSet, rest_s: f64) -> f64 {
+    let grown = |rest: f64| if rest > 0.0 { 1.0 - (-rest_s / rest).exp() } else { 1.0 };
+    effects.start_delay.map_or(0.0, |e| e.delay_s * grown(e.rest_s))
+}
+
 /// The PWM generator in front of a plant, with the effects of the actuator path.
 #[derive(Debug, Clone)]
 pub struct Pwm {
@@ -52,8 +60,10 @@ pub struct Pwm {
     direction: Direction,
     /// Index of the running period.
     index: i64,
-    /// When the pin last went on; the supply follows `start-delay` later (s).
-    rose_s: f64,
+    /// When the supply comes on after the pin's last rise (s).
+    supplied_s: f64,
+    /// When the pin last went off (s).
+    fell_s: f64,
     was_on: bool,
 }
 
@@ -70,7 +80,8 @@ impl Pwm {
             running: 0.0,
             direction: Direction::Cw,
             index: (-phase_s / period_s).floor() as i64,
-            rose_s: f64::NEG_INFINITY,
+            supplied_s: f64::NEG_INFINITY,
+            fell_s: f64::NEG_INFINITY,
             was_on: false,
         }
     }
@@ -89,7 +100,6 @@ impl Pwm {
 
     /// Drives `plant` to `until_s`.
     pub fn advance(&mut self, plant: &mut impl Plant, until_s: f64, observe: &mut dyn FnMut(&Segment)) {
-        let delay = self.effects.start_delay.map_or(0.0, |e| e.delay_s);
         while plant.time_s() < until_s {
             let now = plant.time_s();
             let mut start = self.phase_s + self.index as f64 * self.period_s;
@@ -104,17 +114,18 @@ impl Pwm {
             let rise = if duty > 0.0 { start + (1.0 - duty) * self.period_s } else { f64::INFINITY };
             let on = now >= rise - 1e-12;
             if on && !self.was_on {
-                self.rose_s = now;
+                self.supplied_s = now + start_delay_s(&self.effects, now - self.fell_s);
+            } else if self.was_on && !on {
+                self.fell_s = now;
             }
             self.was_on = on;
             let mut next = until_s.min(end);
             let mut level = 0.0;
             if on {
-                let supplied = self.rose_s + delay;
-                if now >= supplied - 1e-12 {
+                if now >= self.supplied_s - 1e-12 {
                     level = 1.0;
                 } else {
-                    next = next.min(supplied);
+                    next = next.min(self.supplied_s);
                 }
             } else {
                 next = next.min(rise);

@@ -333,15 +333,19 @@ effects! {
         /// How softly it opens (1).
         gate_width: "1", Scale, [1e-4, 0.2], 0.02, 0.02;
     }
-    /// The supply comes on late at each rise of the PWM.
+    /// The supply comes on late at each rise of the PWM: by delay, or by delay·(1 − exp(−rest/rest_s)) after a rest.
     start_delay: StartDelay, "start-delay", Actuator {
         /// Delay (s).
         delay_s: "s", Linear, [0.0, 0.05], 0.0, 1e-3;
+        /// Rest after which nearly two thirds of the delay are there; 0: all of it always is (s).
+        rest_s: "s", Linear, [0.0, 0.1], 0.0, 0.0;
     }
-    /// The duty comes in steps: step·round(u/step).
+    /// The duty comes in steps: step·round(u/step), or step·floor(u/step).
     duty_quantisation: DutyQuantisation, "duty-quantisation", Actuator {
         /// Step, 1/N (1).
         step: "1", Linear, [0.0, 0.5], 0.0, 0.03125;
+        /// 0 rounds to the nearest step, 1 to the one below (1).
+        down: "1", Linear, [0.0, 1.0], 0.0, 0.0;
     }
     /// The encoder's disc is off centre or uneven: θ + Σ amplitude_k·sin(kθ − phase_k).
     encoder_eccentricity: EncoderEccentricity, "encoder-eccentricity", Sensor {

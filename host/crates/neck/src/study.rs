@@ -126,8 +126,8 @@ pub struct Row {
     pub joint3_mean_abs_error_deg: Option<f64>,
     /// Largest share of the time any joint spent at full drive.
     pub saturated_share: Option<f64>,
-    /// Why the case could not be simulated, empty when it was.
-    pub refused: String,
+    /// Why the case could not be simulated.
+    pub refused: Option<String>,
 }
 
 impl Study {
@@ -237,8 +237,8 @@ impl Study {
         };
         let row = |exercise: &Exercise, outcome: Result<Score, SessionError>| {
             let (score, refused) = match outcome {
-                Ok(score) => (Some(score), String::new()),
-                Err(error) => (None, error.to_string()),
+                Ok(score) => (Some(score), None),
+                Err(error) => (None, Some(error.to_string())),
             };
             let score = score.as_ref();
             let joint = |index: usize| score.map(|s| s.joints[index].mean_abs_error_deg);
@@ -315,8 +315,9 @@ mod tests {
     #[test]
     fn cases_that_cannot_run_say_why_in_their_row() {
         let rows = Study { disturbance_deg: vec![5.0, 1e3], ..small() }.run(&GO, |_| ()).unwrap();
-        assert!(rows[0].refused.is_empty() && rows[0].mse_m2.is_some());
-        assert!(rows[1].refused.contains("disturbance amplitude 1000 is outside 0 to 90") && rows[1].mse_m2.is_none());
+        assert!(rows[0].refused.is_none() && rows[0].mse_m2.is_some());
+        let why = rows[1].refused.as_deref().unwrap();
+        assert!(why.contains("disturbance amplitude 1000 is outside 0 to 90") && rows[1].mse_m2.is_none());
     }
 
     #[test]

@@ -18,6 +18,8 @@ pub enum DriverHealth {
     Garbage,
     /// Answers, but its microsteps do not move the rotor.
     Lame,
+    /// Takes five times as long for a microstep.
+    Slow,
 }
 
 /// Rotor motion of one microstep, rad: 0.05°.
@@ -101,7 +103,7 @@ impl DriverBoard {
         let Some(work) = &mut self.work else { return 0.0 };
         if let (1.., back) = work.steps {
             work.steps.0 -= 1;
-            work.ready_us = now_us + MICROSTEP_US;
+            work.ready_us = now_us + if self.health == DriverHealth::Slow { 5 * MICROSTEP_US } else { MICROSTEP_US };
             return match self.health {
                 DriverHealth::Lame => 0.0,
                 _ if back => -MICROSTEP_RAD,

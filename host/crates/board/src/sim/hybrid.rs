@@ -4,7 +4,7 @@ use super::Setup;
 use super::driver_board::DriverHealth;
 use super::motor::{FirstOrderMotor, SimulatedMotor};
 use thiserror::Error;
-use twum_motor::actuator::effective_duty;
+use twum_motor::actuator::{effective_duty, start_delay_s};
 use twum_motor::effects::EffectSet;
 use twum_motor::motor::Motor;
 use twum_motor::motor_plant::{History, MotorPlant, Solver};
@@ -112,12 +112,14 @@ pub struct HybridMotor {
     period_s: f64,
     /// Time since the pin went on (s); none while it is off.
     on_s: Option<f64>,
+    /// How long the pin was off before it went on, or has been (s).
+    rest_s: f64,
 }
 
 impl HybridMotor {
     /// Puts a motor at rest on the board.
     pub fn new(plant: MotorPlant, effects: EffectSet) -> Self {
-        Self { plant, effects, nudged_rad: 0.0, duty: 0.0, period_s: 0.02, on_s: None }
+        Self { plant, effects, nudged_rad: 0.0, duty: 0.0, period_s: 0.02, on_s: None, rest_s: f64::INFINITY }
     }
 
     /// What the effects of the actuator take off each period's on time (s). A duty that they round up stays as the pin has it.
@@ -148,14 +150,14 @@ impl SimulatedMotor for HybridMotor {
             if lost_s > 0.0 && since_s >= self.period_s {
                 since_s -= self.period_s;
             }
-            let late_s = lost_s + self.effects.start_delay.map_or(0.0, |e| e.delay_s);
+            let late_s = lost_s + start_delay_s(&self.effects, self.rest_s);
             let off_s = (late_s - since_s).clamp(0.0, dt_s);
             self.run(off_s, 0.0, direction);
             self.run(dt_s - off_s, 1.0, direction);
             self.on_s = Some(since_s + dt_s);
         } else {
             self.run(dt_s, 0.0, direction);
-            self.on_s = None;
+            self.rest_s = dt_s + if self.on_s.take().is_some() { 0.0 } else { self.rest_s };
         }
         self.plant.position_rad() + self.nudged_rad
     }

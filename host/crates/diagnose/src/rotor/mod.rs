@@ -22,6 +22,12 @@ pub fn warm_up(warmth: f64, duty: f64, seconds: f64, tau: f64) -> f64 {
     duty + (warmth - duty) * (-seconds / tau.max(1e-3)).exp()
 }
 
+/// Delay of the wave in s after a rise of the drive that was off for `rest_s`.
+fn start_delay(p: &Parameters, rest_s: f64) -> f64 {
+    let rest = p.get(P::DelayRest);
+    p.get(P::StartDelay) * if rest > 0.0 { 1.0 - (-rest_s / rest).exp() } else { 1.0 }
+}
+
 /// What the actuator path makes of a commanded duty.
 pub fn effective_duty(duty: f64, p: &Parameters) -> f64 {
     if duty <= 0.0 {
@@ -31,7 +37,8 @@ pub fn effective_duty(duty: f64, p: &Parameters) -> f64 {
     let share = p.get(P::QuantShare);
     if share != 0.0 {
         let n = p.get(P::QuantSteps).max(1.0);
-        u += share * ((n * u).round() / n - u);
+        let steps = if p.get(P::QuantDown) > 0.5 { (n * u + 1e-9).floor() } else { (n * u).round() };
+        u += share * (steps / n - u);
     }
     u -= p.get(P::DeadDuty);
     u = u.max(0.0);

@@ -39,10 +39,14 @@ pub enum P {
     DeadDuty,
     /// `start-delay`: delay of the wave after each PWM rise, in s.
     StartDelay,
+    /// `start-delay`: rest in s after which nearly two thirds of the delay are there; 0 if all of it always is.
+    DelayRest,
     /// `duty-quantisation`: how much of the rounding error acts (1 = all of it).
     QuantShare,
     /// `duty-quantisation`: number of duty steps.
     QuantSteps,
+    /// `duty-quantisation`: 0 rounds to the nearest step, 1 to the one below.
+    QuantDown,
     /// `high-duty-saturation`: 1/us.
     Saturation,
     /// `contact-stiffening`: addition to the slip band.
@@ -101,7 +105,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 44] = [
+    pub const ALL: [P; 46] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -117,8 +121,10 @@ impl P {
         P::SettleTau,
         P::DeadDuty,
         P::StartDelay,
+        P::DelayRest,
         P::QuantShare,
         P::QuantSteps,
+        P::QuantDown,
         P::Saturation,
         P::SlipExtra,
         P::AsymSpeed,

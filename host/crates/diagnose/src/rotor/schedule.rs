@@ -1,6 +1,6 @@
 //! How a run was driven.
 
-use super::{P, Parameters, effective_duty};
+use super::{P, Parameters, effective_duty, start_delay};
 
 /// One PWM period, or any stretch of time with one duty.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,7 +46,8 @@ impl Schedule {
         let first = self.periods.partition_point(|k| k.end + 0.01 < from);
         let inside = self.periods[first..].iter().take_while(|k| k.start < to).filter_map(|k| {
             let duty = effective_duty(k.duty, p);
-            let rises = k.end - duty * (k.end - k.start) + p.get(P::StartDelay);
+            let rest_s = (1.0 - duty) * (k.end - k.start);
+            let rises = k.start + rest_s + start_delay(p, rest_s);
             (duty > 0.0 && rises > k.start).then_some(if rise { rises } else { k.end })
         });
         let overlap = |at: f64| ((at + 1e-3).min(to) - at.max(from)).max(0.0);

@@ -3,7 +3,7 @@
 use super::motion::{Piece, off_piece, on_piece};
 use super::parameters::harmonics;
 use super::wave::Wave;
-use super::{P, Parameters, RunTerms, Schedule, effective_duty};
+use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay};
 
 /// What a simulation of one run needs beside the parameters.
 #[derive(Debug, Clone)]
@@ -224,9 +224,10 @@ impl<'a> Simulation<'a> {
         let duty = effective_duty(duty, self.p);
         let mut on_from = end - duty * (end - start);
         if duty < 1.0 - 1e-9 {
-            on_from += self.p.get(P::StartDelay);
+            let rest_s = if start <= 0.0 { f64::INFINITY } else { on_from - start };
+            on_from += start_delay(self.p, rest_s);
         } else if start <= 0.0 {
-            on_from = on_from.max(0.0) + self.p.get(P::StartDelay);
+            on_from = on_from.max(0.0) + start_delay(self.p, f64::INFINITY);
         }
         let on_from = on_from.clamp(start, end).min(self.input.drive_end);
         let off_until = end.min(self.input.drive_end);
