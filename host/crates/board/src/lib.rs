@@ -3,10 +3,14 @@
 //! ```
 //! use twum_board::link::{Session, SimulatedLink};
 //! use twum_board::sim::Setup;
+//! use twum_shared::message::Configuration;
+//! use twum_shared::step::ConfigSpec;
 //!
 //! let mut session = Session::new(SimulatedLink::new(Setup::default()));
 //! let board = session.hello()?;
 //! assert!(board.chip.contains("simulated"), "{}", board.chip);
+//! session.configure(Configuration::with_control(ConfigSpec::THESIS))?;
+//! session.align()?;
 //! // Armed, it may be told to turn; a stop always works.
 //! session.arm()?;
 //! session.stop()?;

@@ -1,5 +1,5 @@
 //! Files handed out: the one place that writes what a person keeps. Recordings and sweeps alone have writers of their own,
-//! because they must keep what they have when the program is killed ([`twum_record::store`], [`crate::instruments::sweep`]).
+//! because they must keep what they have when the program is killed (`twum_record::store`, `twum_instruments::sweep`).
 //!
 //! A file is written beside its place, brought onto the disk and only then given its name: it is there whole or not at all,
 //! whatever ends the program and however full the disk is, and of two writers at once one wins whole. What may be lost by it
