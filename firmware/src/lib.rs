@@ -18,6 +18,7 @@
 )]
 
 pub mod control;
+pub mod count;
 pub mod driver;
 pub mod encoder;
 pub mod fatal;

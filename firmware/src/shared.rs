@@ -1,7 +1,7 @@
 //! What interrupts and tasks share: the encoder, commands, events, requests and counters. All of it is either atomic or
 //! guarded by a short critical section.
 
-use crate::encoder::Encoder;
+use crate::count::Encoder;
 use crate::mailbox::Mailbox;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;

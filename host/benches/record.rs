@@ -6,8 +6,8 @@
 use std::path::Path;
 use std::time::Instant;
 use twum_host::compare::replay::replay_recording;
+use twum_host::plot::recording_figure;
 use twum_host::record::decode::{Decoder, Item};
-use twum_host::record::plot::recording_figure;
 use twum_host::record::recording::Recording;
 use twum_host::record::store::{Metadata, Reader, Sender, Writer};
 use twum_shared::frame::{self, Header, MAX_ENCODED};

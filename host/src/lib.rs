@@ -1,17 +1,19 @@
-//! Host side of a travelling-wave ultrasonic motor bench.
+//! Host side of a travelling-wave ultrasonic motor bench: what its crates find, as pictures, pages and tables, and a
+//! demonstration. The `twum` command stands on it; the crates below are given on under the names of what they hold.
 
 pub mod compare;
 pub mod configuration;
 pub mod demo;
-pub mod diagnose;
-pub mod identify;
-pub mod input;
-pub mod instruments;
-pub mod link;
-pub mod model;
-pub mod neck;
-pub mod output;
-pub mod record;
+pub mod live;
+pub mod plot;
 pub mod report;
-pub mod signal;
-pub mod sim;
+
+pub use twum_board::{link, sim};
+pub use twum_diagnose as diagnose;
+pub use twum_files::{input, output};
+pub use twum_identify as identify;
+pub use twum_instruments as instruments;
+pub use twum_motor as model;
+pub use twum_neck as neck;
+pub use twum_record as record;
+pub use twum_signal as signal;

@@ -14,7 +14,7 @@ fn text(output: &Output) -> String {
 
 /// The shipped motor with another force factor: it turns at another speed.
 fn slower_motor() -> String {
-    let shipped = include_str!("../motors/pcbmotor-30mm.toml");
+    let shipped = include_str!("../crates/motor/motors/pcbmotor-30mm.toml");
     let at = shipped.find("\n[physical.eta]").expect("the file has eta");
     let value = at + shipped[at..].find("value = ").expect("it has a value") + "value = ".len();
     let end = value + shipped[value..].find([',', '\n', ' ', '}']).unwrap();

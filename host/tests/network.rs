@@ -107,7 +107,11 @@ fn what_listens_in_the_program_is_known() {
         }
     }
     let mut found = Vec::new();
-    visit(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut found);
+    let host = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    visit(&host.join("src"), &mut found);
+    for part in std::fs::read_dir(host.join("crates")).unwrap().flatten() {
+        visit(&part.path().join("src"), &mut found);
+    }
     // The simulated instruments, the door of the live server, and a unit test of it (which names its address to its library).
     found.sort();
     // Those by the name of a file are the stop socket in the user's own runtime directory: nothing on a network.

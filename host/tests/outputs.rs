@@ -300,32 +300,35 @@ const WRITES: [&str; 9] = [
 ];
 /// Who may use them, and why.
 const WRITERS_OF_THEIR_OWN: [(&str, &str); 5] = [
-    ("output.rs", "the one writer"),
+    ("files/output.rs", "the one writer"),
     ("record/store/writer.rs", "a recording keeps every frame when the program is killed"),
     ("instruments/sweep.rs", "a sweep keeps every frequency, and is gone on with"),
     ("instruments/scpi.rs", "a device, no file"),
-    ("link/pty.rs", "a device, no file"),
+    ("board/link/pty.rs", "a device, no file"),
 ];
 /// Ways to open a file to read.
 const READS: [&str; 3] = ["File::open", "fs::read(", "fs::read_to_string("];
 /// Who may use them, and why.
 const READERS_OF_THEIR_OWN: [(&str, &str); 3] = [
-    ("input.rs", "the one reader: refuses pipes, and remembers what was read"),
-    ("output.rs", "opens a folder to bring a name onto the disk"),
+    ("files/input.rs", "the one reader: refuses pipes, and remembers what was read"),
+    ("files/output.rs", "opens a folder to bring a name onto the disk"),
     ("diagnose/cache.rs", "its own answers, and files that were read already"),
 ];
 
 #[test]
 fn files_are_opened_and_written_in_one_place_each() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let mut open = vec![root.clone()];
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let crates = fs::read_dir(root.join("crates")).unwrap().map(|entry| entry.unwrap().path().join("src"));
+    let mut open: Vec<PathBuf> = crates.chain([root.join("src")]).collect();
     let (mut wrong, mut seen) = (Vec::new(), Vec::new());
     while let Some(path) = open.pop() {
         if path.is_dir() {
             open.extend(fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().path()));
             continue;
         }
-        let name = path.strip_prefix(&root).unwrap().to_string_lossy().replace('\\', "/");
+        let name = path.strip_prefix(root).unwrap().to_string_lossy().replace('\\', "/");
+        // `crates/record/src/store/writer.rs` is `record/store/writer.rs` here.
+        let name = name.replacen("crates/", "", 1).replacen("src/", "", 1);
         if name.ends_with("tests.rs") || !name.ends_with(".rs") {
             continue;
         }
@@ -342,7 +345,7 @@ fn files_are_opened_and_written_in_one_place_each() {
             }
         }
     }
-    assert!(wrong.is_empty(), "write with twum_host::output and read with twum_host::input:\n{}", wrong.join("\n"));
+    assert!(wrong.is_empty(), "write with twum_files::output and read with twum_files::input:\n{}", wrong.join("\n"));
     for (file, why) in WRITERS_OF_THEIR_OWN.iter().chain(&READERS_OF_THEIR_OWN) {
         assert!(seen.contains(file), "{file} ({why}) no longer needs its exception");
     }

@@ -15,20 +15,23 @@ mod recordings;
 #[path = "../../fuzz/src/sealed.rs"]
 mod sealed;
 
+use std::io::Read;
 use std::path::Path;
 
 fn replay(target: &str, body: fn(&[u8])) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus").join(target);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus").join(target).with_extension("tar");
+    let packed = std::fs::File::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     let mut inputs = 0;
-    for entry in std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display())) {
-        let path = entry.unwrap().path();
-        let data = std::fs::read(&path).unwrap();
+    for entry in tar::Archive::new(packed).entries().unwrap() {
+        let mut entry = entry.unwrap();
+        let mut data = Vec::new();
+        entry.read_to_end(&mut data).unwrap();
         // Which input, should it panic.
-        println!("{}", path.display());
+        println!("{}: {}", path.display(), entry.path().unwrap().display());
         body(&data);
         inputs += 1;
     }
-    assert!(inputs > 0, "{} is empty", folder.display());
+    assert!(inputs > 5, "{} holds {inputs} inputs", path.display());
 }
 
 #[test]

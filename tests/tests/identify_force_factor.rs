@@ -16,6 +16,7 @@ use twum_host::model::parameters::{Flavour, Parameters};
 use twum_host::model::plant::Direction;
 use twum_host::model::simulate::{PlantModel, Program, simulate};
 use twum_host::record::measurement::{Direction as Sense, LevelEdge, Measurement, Run, RunData, RunKind};
+use twum_host::report::identified::text;
 use twum_tests::carrier::{Carrier, CarrierState};
 
 fn model(parameters: Parameters) -> PlantModel {
@@ -259,7 +260,7 @@ fn an_independent_carrier_model_gives_its_force_factor_back() {
         })
         .collect();
     let found = identify(&measurement(runs), &TorqueRuns::default(), &motor, Flavour::Physical).unwrap();
-    print!("{}", found.text());
+    print!("{}", text::force_factor(&found));
     let [low, high] = found.ci95;
     assert!(low < truth.force_factor && truth.force_factor < high, "{low} {high}");
     assert!((found.eta_n_v / truth.force_factor - 1.0).abs() < 0.05, "{}", found.eta_n_v);
@@ -274,7 +275,7 @@ fn the_interval_holds_the_truth_though_the_motor_file_is_off() {
     truth.off_friction *= 1.07;
     truth.preload_n *= 0.94;
     let report = identify(&measured(truth), &TorqueRuns::default(), &motor, Flavour::Physical).unwrap();
-    print!("{}", report.text());
+    print!("{}", text::force_factor(&report));
     let [low, high] = report.ci95;
     assert!(
         low < truth.force_factor_n_v && truth.force_factor_n_v < high,

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 use std::path::Path;
 use twum_host::identify::friction::{Report, identify};
+use twum_host::report::identified::text;
 use twum_tests::friction::{BENCH, Bench};
 
 fn made(bench: &Bench, seed: u64) -> tempfile::TempDir {
@@ -19,7 +20,7 @@ fn run(folder: &Path) -> Result<Report, String> {
 fn known_coefficients_lie_in_their_intervals() {
     let folder = made(&Bench { sample_hz: 1000.0, ..BENCH }, 4);
     let report = run(folder.path()).unwrap();
-    print!("{}", report.text());
+    print!("{}", text::friction(&report));
     for (overall, truth) in [(&report.coulomb, BENCH.coulomb), (&report.stat, BENCH.stat)] {
         let [low, high] = overall.ci95.unwrap();
         assert!(low < truth && truth < high, "{truth} outside {low} to {high}");

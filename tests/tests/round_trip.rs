@@ -337,18 +337,41 @@ fn print(rows: &[Row]) {
     }
 }
 
-/// Two duties cannot show a dead zone. Fails if what does the same to them is named in its place, as a start delay was.
+/// Two duties cannot show a dead zone. Fails if what does the same to them is said without it.
 #[test]
-fn a_dead_zone_that_cannot_be_judged_is_no_other_cause() {
-    let design = Design { duties: &[0.4, 0.8], trials: 1, seconds: 2.0 };
+fn a_dead_zone_that_cannot_be_judged_stays_a_rival() {
+    let design = Design { duties: &[0.4, 0.8], trials: 2, seconds: 3.0 };
     let motor = Motor::pcbmotor_30mm();
     let mut effects = EffectSet::default();
-    effects.set("dead-zone", &[0.08, 0.0, 0.02]).expect("inside the bounds");
+    effects.set("dead-zone", &[0.15, 0.0, 0.02]).expect("inside the bounds");
     let made = traces(design, motor.parameters(FLAVOUR), &effects);
     let options = Options { motor: Some(motor.parameters(FLAVOUR)), ..Options::default() };
     let (d, _) = diagnose(&[measurement(design, &made)], &options, &|_, _| {}).expect("there is something to diagnose");
-    assert!(d.not_judged.contains_key("dead-zone"), "{:?}", d.not_judged);
-    assert!(d.named().is_empty(), "{:?}", d.named());
+    assert!(d.not_judged.contains_key("dead-zone") && d.named().is_empty(), "{:?}", d.named());
+    let said = d.effects.iter().find(|e| e.name == "start-delay" && e.status == "ambiguous").expect("it is suspected");
+    assert!(said.conflicts_with.iter().any(|rival| rival == "dead-zone"), "{:?}", said.conflicts_with);
+}
+
+/// Fails if the search does not know a form that the motor model has: duties cut to the step below, a delay that grows with the pause.
+#[test]
+fn other_forms_of_the_model_are_found() {
+    let motor = Motor::pcbmotor_30mm();
+    let design = Design { duties: &[0.45, 0.17, 0.83, 1.0, 0.31, 0.68], trials: 2, seconds: 1.5 };
+    type Form<'a> = (&'a str, &'a [f64], &'a str, [f64; 2]);
+    let forms: [Form; 2] = [
+        ("duty-quantisation", &[0.1, 1.0], "rounds_down", [1.0, 1.0]),
+        ("start-delay", &[4e-3, 0.01], "rest_s", [0.004, 0.025]),
+    ];
+    for (name, values, number, [least, most]) in forms {
+        let mut effects = EffectSet::default();
+        effects.set(name, values).expect("inside the bounds");
+        let made = traces(design, motor.parameters(FLAVOUR), &effects);
+        let options = Options { motor: Some(motor.parameters(FLAVOUR)), ..Options::default() };
+        let (d, _) = diagnose(&[measurement(design, &made)], &options, &|_, _| {}).expect("there is something");
+        assert!(d.suspected().contains(&name), "{name}: {} {:?}", d.verdict.word(), d.suspected());
+        let found = d.effects.iter().find(|e| e.name == name).and_then(|e| e.parameters.get(number));
+        assert!(found.is_some_and(|p| (least..=most).contains(&p.value)), "{name}: {found:?}");
+    }
 }
 
 /// Twice the typical size, at which most are beyond what a search may take for a wrong form. Fails if an effect acts in the motor model as it does not in the search, or is lost or changed when it is saved.
@@ -378,12 +401,10 @@ fn the_whole_table() {
 /// The one recording of a real motor: what is found in it is a motor file, and that motor turns as the real one did. Fails if
 /// a single run cannot be saved, or its runout twice a turn is lost: without it the simulation is off by more.
 #[test]
+#[ignore = "needs measured data: .ci/run measured"]
 fn a_single_run_of_the_real_motor_is_saved_and_replayed() {
-    let folder = std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/twum-speed");
-    if !folder.exists() {
-        eprintln!("skipped: {} is not here", folder.display());
-        return;
-    }
+    let data = std::env::var_os("TWUM_DATA").expect("TWUM_DATA names the folder of measured data");
+    let folder = std::path::Path::new(&data).join("twum-speed");
     let measurement = Measurement::load(&folder).expect("the folder can be read");
     let motor = Motor::pcbmotor_30mm();
     let options = Options { motor: Some(motor.parameters(FLAVOUR)), ..Options::default() };
@@ -430,10 +451,12 @@ fn what_was_fitted_is_what_is_saved() {
     let inertia = parameters.rotor_inertia_kg_m2;
     /// Name, what was fitted, what is saved.
     type Row<'a> = (&'a str, &'a [(P, f64)], &'a [(&'a str, f64)]);
-    let fitted: [Row; 12] = [
+    let fitted: [Row; 14] = [
         ("dead-zone", &[(P::DeadDuty, 0.04)], &[("threshold_duty", 0.04), ("gate_duty", 0.0)]),
         ("dead-zone", &[(P::GateDuty, 0.2), (P::GateWidth, 0.03)], &[("gate_duty", 0.2), ("gate_width", 0.03)]),
         ("high-duty-saturation", &[(P::Bend, 0.7)], &[("bend", 0.7), ("inverse_us", 0.0)]),
+        ("duty-quantisation", &[(P::QuantSteps, 5.0), (P::QuantDown, 1.0)], &[("step", 0.2), ("down", 1.0)]),
+        ("start-delay", &[(P::StartDelay, 2e-3), (P::DelayRest, 0.01)], &[("delay_s", 2e-3), ("rest_s", 0.01)]),
         ("high-duty-saturation", &[(P::FlatTop, 0.2)], &[("flat_top", 0.2)]),
         ("contact-stiffening", &[(P::SlipExtra, 0.6)], &[("slip_band_excess", 0.6), ("exponent", 1.0)]),
         ("direction-asymmetry", &[(P::AsymBrake, 0.4)], &[("braking", 0.4)]),

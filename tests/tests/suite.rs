@@ -3,7 +3,8 @@
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use twum_tests::suite::Case;
-use twum_tests::suite::runner::{Outcome, Runner, read};
+use twum_tests::suite::judge::Outcome;
+use twum_tests::suite::runner::{Runner, read};
 use twum_tests::suite::tables::{Count, markdown};
 use twum_tests::truth::{Hidden, Kind, Truth};
 

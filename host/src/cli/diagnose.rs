@@ -8,13 +8,14 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::diagnose::cache::{self, Kept};
 use twum_host::diagnose::library::known_effects;
-use twum_host::diagnose::{Details, Options, answer, diagnose, motor, report};
+use twum_host::diagnose::{Details, Options, answer, diagnose, motor};
 use twum_host::input::printable;
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::output;
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::Measurement;
+use twum_host::report::diagnosis::page;
 
 /// Arguments of `twum diagnose`.
 #[derive(Debug, clap::Args)]
@@ -135,7 +136,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     diagnosis.notes.extend(lost);
     if let Some(path) = &args.report {
         let title: Vec<&str> = measurements.iter().map(|m| m.name.as_str()).collect();
-        let page = report::page(&title.join(", "), &diagnosis, details.as_ref());
+        let page = page(&title.join(", "), &diagnosis, details.as_ref());
         page.write(path)?;
         eprintln!("wrote {}", path.display());
     }

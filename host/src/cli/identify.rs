@@ -5,9 +5,10 @@ use super::output::stage;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use twum_host::identify::{figures, force_factor, friction, read, save, stator};
+use twum_host::identify::{force_factor, friction, read, save, stator};
 use twum_host::model::motor::Motor;
 use twum_host::record::load::load_runs;
+use twum_host::report::identified::{figures, text};
 
 /// Arguments of `twum identify`.
 #[derive(Debug, clap::Args)]
@@ -197,7 +198,7 @@ fn run_stator(args: Stator) -> Result<ExitCode> {
     if args.json {
         println!("{}", serde_json::to_string(&found.report)?);
     } else {
-        print!("{}", found.report.text());
+        print!("{}", text::stator(&found.report));
     }
     args.save.write(|path, base| save::stator(&found.report, path, base))?;
     Ok(if found.report.verdict == stator::Verdict::NoResonance { ExitCode::from(1) } else { ExitCode::SUCCESS })
@@ -213,7 +214,7 @@ fn run_friction(args: Friction) -> Result<ExitCode> {
     if args.json {
         println!("{}", serde_json::to_string(&found.report)?);
     } else {
-        print!("{}", found.report.text());
+        print!("{}", text::friction(&found.report));
     }
     args.save.write(|_, _| Ok(save::friction(&found.report)))?;
     Ok(ExitCode::SUCCESS)
@@ -238,7 +239,7 @@ fn run_force_factor(args: ForceFactor) -> Result<ExitCode> {
     if args.json {
         println!("{}", serde_json::to_string(&report)?);
     } else {
-        print!("{}", report.text());
+        print!("{}", text::force_factor(&report));
     }
     args.save.write(|_, _| Ok(save::force_factor(&report)))?;
     Ok(ExitCode::SUCCESS)

@@ -16,9 +16,9 @@ use std::time::Duration;
 use twum_host::link::Received;
 use twum_host::link::bench::{Action, Experiment, Outcome};
 use twum_host::link::relay::{self, Watching};
+use twum_host::live::{LiveServer, draw};
 use twum_host::record::decode::{Decoder, Item, LinkStatistics};
 use twum_host::record::live::LiveView;
-use twum_host::record::live_server::LiveServer;
 use twum_host::record::store::Ending;
 
 /// The screen is drawn this often.
@@ -95,7 +95,7 @@ fn print_once(recording: &Path, json: bool) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let mut terminal = Terminal::new(TestBackend::new(120, 40))?;
-    terminal.draw(|frame| view.draw(frame, &recording.display().to_string(), decoder.statistics()))?;
+    terminal.draw(|frame| draw(&view, frame, &recording.display().to_string(), decoder.statistics()))?;
     for row in terminal.backend().buffer().content.chunks(120) {
         let line: String = row.iter().map(|cell| cell.symbol()).collect();
         println!("{}", line.trim_end());
@@ -154,7 +154,7 @@ impl Screen {
             Some(server) => format!("{heading}   {}", server.address()),
             None => heading.to_owned(),
         };
-        terminal.draw(|frame| view.draw(frame, &heading, link))?;
+        terminal.draw(|frame| draw(view, frame, &heading, link))?;
         thread::sleep(DRAW_EVERY);
         Ok(self.quit.load(Ordering::Relaxed))
     }

@@ -18,12 +18,13 @@ use twum_host::neck::exercise::Exercise;
 use twum_host::neck::kinematics::{JOINTS, THESIS_LENGTH_M, Wrist};
 use twum_host::neck::load::Head;
 use twum_host::neck::motor::JointMotor;
-use twum_host::neck::report::Report;
 use twum_host::neck::score::Score;
 use twum_host::neck::session::{DEFAULT_EDGES_PER_REV, Session, Setup};
 use twum_host::neck::study::Study;
-use twum_host::neck::{foxglove, page, path, picture};
+use twum_host::neck::{foxglove, path};
 use twum_host::output::{self, Output};
+use twum_host::report::neck::report::Report;
+use twum_host::report::neck::{page, picture};
 
 /// Arguments of `twum neck`.
 #[derive(Debug, clap::Args)]

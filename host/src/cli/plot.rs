@@ -4,8 +4,8 @@ use super::output::stage;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::plot::{measurement_figure, recording_figure};
 use twum_host::record::load::load_runs;
-use twum_host::record::plot::{measurement_figure, recording_figure};
 
 /// Arguments of `twum plot`.
 #[derive(Debug, clap::Args)]

@@ -10,7 +10,6 @@ use crate::model::parameters::Flavour;
 use crate::model::plant;
 use crate::model::sensor::Encoder;
 use crate::record::measurement::{ControlRow, Direction, Run, RunData};
-use crate::report::figure::Panel;
 use serde::Serialize;
 use twum_shared::step::{ConfigSpec, DriveLaw};
 
@@ -165,7 +164,7 @@ fn actuator(rows: &[ControlRow], spec: &ConfigSpec) -> ActuatorParity {
 }
 
 /// Recorded and replayed turn of each stretch, in counts, and the stretch's middle and length in s.
-fn stretches(rows: &[ControlRow], replayed: &[f64]) -> Vec<(f64, f64, f64, f64)> {
+pub(crate) fn stretches(rows: &[ControlRow], replayed: &[f64]) -> Vec<(f64, f64, f64, f64)> {
     let mut found = Vec::new();
     let mut from = 0;
     for to in 1..rows.len() {
@@ -180,7 +179,7 @@ fn stretches(rows: &[ControlRow], replayed: &[f64]) -> Vec<(f64, f64, f64, f64)>
     found
 }
 
-fn rpm(counts: f64, time_s: f64, edges_per_rev: u32) -> f64 {
+pub(crate) fn rpm(counts: f64, time_s: f64, edges_per_rev: u32) -> f64 {
     counts / f64::from(edges_per_rev) / time_s * 60.0
 }
 
@@ -208,32 +207,6 @@ fn sensor(rows: &[ControlRow]) -> SensorParity {
     SensorParity {
         against_direction: against as f64 / moves.len().max(1) as f64,
         largest_jump: moves.iter().map(|(change, _)| change.abs()).fold(0.0, f64::max),
-    }
-}
-
-impl ClosedLoop {
-    /// Position against time, recorded and replayed, and what the replay lacks.
-    pub fn panels(&self) -> [Panel; 2] {
-        let degrees = 360.0 / f64::from(self.edges_per_rev);
-        let line = |f: &dyn Fn(&(ControlRow, f64)) -> f64| -> Vec<(f64, f64)> {
-            self.ticks.iter().map(|tick| (tick.0.time_us * 1e-6, f(tick) * degrees)).collect()
-        };
-        let rows: Vec<ControlRow> = self.ticks.iter().map(|tick| tick.0).collect();
-        let replayed: Vec<f64> = self.ticks.iter().map(|tick| tick.1).collect();
-        let left: Vec<(f64, f64)> = stretches(&rows, &replayed)
-            .into_iter()
-            .map(|(time_s, length_s, m, s)| (time_s, rpm(m - s, length_s, self.edges_per_rev)))
-            .collect();
-        [
-            Panel::new("time (s)", "position (\u{b0})")
-                .title(format!("{}: motor and simulated motor under the recorded duty", self.run))
-                .line("target", &line(&|tick| tick.0.target))
-                .line("measured", &line(&|tick| tick.0.position))
-                .dashed("simulated", &line(&|tick| tick.1)),
-            Panel::new("time (s)", "difference (rpm)")
-                .title(format!("{}: measured less simulated speed, over 0.1 s each", self.run))
-                .line(self.run.as_str(), &left),
-        ]
     }
 }
 

@@ -12,9 +12,6 @@ use crate::model::plant;
 use crate::model::simulate::{PlantModel, Program, simulate};
 use crate::record::convert::to_levels;
 use crate::record::measurement::{Direction, LevelEdge, Measurement, Run, RunData, RunKind};
-use crate::report::figure::{Figure, Panel};
-use crate::report::speed::{self, Simulated};
-use crate::report::table::table;
 use crate::signal::SignalError;
 use crate::signal::course::{Course, Drive};
 use crate::signal::run::{Method, Motion, Options, motion};
@@ -248,82 +245,6 @@ fn r2_of_speeds(runs: &[RunComparison]) -> Option<f64> {
     let all: f64 = runs.iter().map(|r| (r.measured.mean_rpm - mean).powi(2)).sum();
     let left: f64 = runs.iter().map(|r| (r.measured.mean_rpm - r.simulated.mean_rpm).powi(2)).sum();
     (all > 0.0).then(|| 1.0 - left / all)
-}
-
-impl std::fmt::Display for Comparison {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let seconds = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{:.0}", v * 1e3));
-        let both = |v: [f64; 2]| format!("{:.3} {:.3}", v[0], v[1]);
-        let row = |r: &RunComparison| {
-            let (m, s) = (&r.measured, &r.simulated);
-            vec![
-                r.id.clone(),
-                format!("{:.2}", r.duty),
-                both([m.mean_rpm, s.mean_rpm]),
-                both([m.start_peak_rpm, s.start_peak_rpm]),
-                format!("{} {}", seconds(m.rise_s), seconds(s.rise_s)),
-                format!("{} {}", seconds(m.stop_s), seconds(s.stop_s)),
-                format!("{:.3}", r.rmse_speed_rpm),
-                format!("{:.2}", r.rmse_position_deg),
-            ]
-        };
-        let header = ["run", "duty", "mean rpm", "start peak rpm", "rise ms", "stop ms", "RMSE rpm", "RMSE °"];
-        write!(f, "{}", table(&header, &self.runs.iter().map(row).collect::<Vec<_>>()))?;
-        writeln!(f, "(two numbers: measured, simulated with the {} model)", self.flavour)?;
-        let r2 = self.r2_speed.map_or("needs three duties".to_owned(), |v| format!("{v:.4}"));
-        writeln!(f, "R² of speed against duty: {r2}")?;
-        writeln!(f, "RMSE of the speed: {:.3} rpm, of the angle: {:.2}°", self.rmse_speed_rpm, self.rmse_position_deg)?;
-        if !self.left_out.is_empty() {
-            writeln!(f, "left out (closed loop, or no duty): {}", self.left_out.join(", "))?;
-        }
-        Ok(())
-    }
-}
-
-impl Comparison {
-    /// Of several runs, speeds against time, their difference, and mean speeds against duty; of one, what
-    /// [`speed::figure`] shows of it with the simulation beside it.
-    ///
-    /// # Errors
-    /// As [`speed::figure`].
-    pub fn figure(&self, title: &str) -> Result<Figure, SignalError> {
-        if let [run] = self.runs.as_slice() {
-            let times_s = run.motion.time_us.iter().map(|t| t * 1e-6);
-            let simulated = Simulated { speed: times_s.zip(run.simulated_rpm.iter().copied()).collect() };
-            return speed::figure(&format!("{title}, run {}", run.id), &run.motion, run.drive, Some(&simulated));
-        }
-        Ok(self.overview(title))
-    }
-
-    fn overview(&self, title: &str) -> Figure {
-        /// More names than this make a legend nobody reads.
-        const MOST_NAMED: usize = 6;
-        let mut speeds = Panel::new("time (s)", "speed (rpm)").title("Measured and simulated");
-        let mut differences = Panel::new("time (s)", "difference (rpm)").title("Measured less simulated");
-        for run in &self.runs {
-            let named = self.runs.len() <= MOST_NAMED;
-            let name = |what: &str| if named { format!("{} {what}", run.id) } else { what.to_owned() };
-            let (measured, simulated) = (&run.motion.speed_rpm, &run.simulated_rpm);
-            let column = |f: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
-                run.motion.time_us.iter().enumerate().map(|(i, t)| (t * 1e-6, f(i))).collect()
-            };
-            speeds = speeds
-                .line(name("measured"), &column(&|i| measured[i]))
-                .dashed(name("simulated"), &column(&|i| simulated[i]));
-            differences =
-                differences.line(if named { run.id.as_str() } else { "" }, &column(&|i| measured[i] - simulated[i]));
-        }
-        let of = |f: &dyn Fn(&RunComparison) -> f64| -> Vec<(f64, f64)> {
-            self.runs.iter().map(|r| (100.0 * r.duty, f(r))).collect()
-        };
-        let r2 = self.r2_speed.map_or(String::new(), |v| format!(" (R\u{b2} {v:.3})"));
-        let duty = Panel::new("duty (%)", "mean speed (rpm)")
-            .title(format!("Speed against duty{r2}"))
-            .x_range(0.0, 100.0)
-            .points("measured", &of(&|r| r.measured.mean_rpm))
-            .points("simulated", &of(&|r| r.simulated.mean_rpm));
-        Figure::new(title).size(1000, 960).panel(speeds).panel(differences).panel(duty)
-    }
 }
 
 #[cfg(test)]

@@ -2,13 +2,14 @@
 
 use super::DemoError;
 use crate::diagnose::plan::{PlannedRun, first_experiment};
-use crate::diagnose::{Options, diagnose, report};
+use crate::diagnose::{Options, diagnose};
 use crate::link::bench::{Action, Experiment, perform};
 use crate::link::{LinkError, Session, SimulatedLink};
 use crate::model::effects::{EffectSet, Kind, info};
 use crate::model::motor::Motor;
 use crate::model::parameters::Flavour;
 use crate::record::load::load_runs;
+use crate::report::diagnosis;
 use crate::report::page::Page;
 use crate::sim::Setup;
 use rand::seq::IndexedRandom;
@@ -108,7 +109,7 @@ pub(super) fn experiment(
         let _ = what;
     })?;
     let found = read(&serde_json::to_value(&diagnosis)?, seed, hidden, parameters);
-    let page = report::page("a motor with something hidden", &diagnosis, details.as_ref());
+    let page = diagnosis::page("a motor with something hidden", &diagnosis, details.as_ref());
     Ok((page, found))
 }
 
@@ -175,7 +176,7 @@ fn read(d: &Value, seed: u64, hidden: Option<String>, parameters: BTreeMap<&'sta
         Some(hidden) => named == [hidden.clone()],
         None => named.is_empty(),
     };
-    Found { seed, hidden, parameters, verdict, named, sentence: report::sentence(d), right }
+    Found { seed, hidden, parameters, verdict, named, sentence: diagnosis::sentence(d), right }
 }
 
 #[cfg(test)]

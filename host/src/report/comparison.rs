@@ -1,9 +1,12 @@
 //! The page of `twum compare`: every number it found, and the pictures.
 
-use super::figure::Figure;
+use super::figure::{Figure, Panel};
 use super::page::Page;
-use crate::compare::closed_loop::ClosedLoop;
+use super::speed::{self, Simulated};
+use super::table::table;
+use crate::compare::closed_loop::{ClosedLoop, rpm, stretches};
 use crate::compare::simulation::{Comparison, RunComparison};
+use crate::record::measurement::ControlRow;
 use crate::signal::SignalError;
 use std::fmt::Display;
 
@@ -137,4 +140,106 @@ fn closed_loop_section(page: Page, closed_loops: &[ClosedLoop]) -> Page {
 /// A number with a true minus sign.
 fn number(value: f64, decimals: usize) -> String {
     format!("{value:.decimals$}").replace('-', "\u{2212}")
+}
+
+impl std::fmt::Display for Comparison {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let seconds = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{:.0}", v * 1e3));
+        let both = |v: [f64; 2]| format!("{:.3} {:.3}", v[0], v[1]);
+        let row = |r: &RunComparison| {
+            let (m, s) = (&r.measured, &r.simulated);
+            vec![
+                r.id.clone(),
+                format!("{:.2}", r.duty),
+                both([m.mean_rpm, s.mean_rpm]),
+                both([m.start_peak_rpm, s.start_peak_rpm]),
+                format!("{} {}", seconds(m.rise_s), seconds(s.rise_s)),
+                format!("{} {}", seconds(m.stop_s), seconds(s.stop_s)),
+                format!("{:.3}", r.rmse_speed_rpm),
+                format!("{:.2}", r.rmse_position_deg),
+            ]
+        };
+        let header = ["run", "duty", "mean rpm", "start peak rpm", "rise ms", "stop ms", "RMSE rpm", "RMSE °"];
+        write!(f, "{}", table(&header, &self.runs.iter().map(row).collect::<Vec<_>>()))?;
+        writeln!(f, "(two numbers: measured, simulated with the {} model)", self.flavour)?;
+        let r2 = self.r2_speed.map_or("needs three duties".to_owned(), |v| format!("{v:.4}"));
+        writeln!(f, "R² of speed against duty: {r2}")?;
+        writeln!(f, "RMSE of the speed: {:.3} rpm, of the angle: {:.2}°", self.rmse_speed_rpm, self.rmse_position_deg)?;
+        if !self.left_out.is_empty() {
+            writeln!(f, "left out (closed loop, or no duty): {}", self.left_out.join(", "))?;
+        }
+        Ok(())
+    }
+}
+
+impl Comparison {
+    /// Of several runs, speeds against time, their difference, and mean speeds against duty; of one, what
+    /// [`speed::figure`] shows of it with the simulation beside it.
+    ///
+    /// # Errors
+    /// As [`speed::figure`].
+    pub fn figure(&self, title: &str) -> Result<Figure, SignalError> {
+        if let [run] = self.runs.as_slice() {
+            let times_s = run.motion.time_us.iter().map(|t| t * 1e-6);
+            let simulated = Simulated { speed: times_s.zip(run.simulated_rpm.iter().copied()).collect() };
+            return speed::figure(&format!("{title}, run {}", run.id), &run.motion, run.drive, Some(&simulated));
+        }
+        Ok(self.overview(title))
+    }
+
+    fn overview(&self, title: &str) -> Figure {
+        /// More names than this make a legend nobody reads.
+        const MOST_NAMED: usize = 6;
+        let mut speeds = Panel::new("time (s)", "speed (rpm)").title("Measured and simulated");
+        let mut differences = Panel::new("time (s)", "difference (rpm)").title("Measured less simulated");
+        for run in &self.runs {
+            let named = self.runs.len() <= MOST_NAMED;
+            let name = |what: &str| if named { format!("{} {what}", run.id) } else { what.to_owned() };
+            let (measured, simulated) = (&run.motion.speed_rpm, &run.simulated_rpm);
+            let column = |f: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
+                run.motion.time_us.iter().enumerate().map(|(i, t)| (t * 1e-6, f(i))).collect()
+            };
+            speeds = speeds
+                .line(name("measured"), &column(&|i| measured[i]))
+                .dashed(name("simulated"), &column(&|i| simulated[i]));
+            differences =
+                differences.line(if named { run.id.as_str() } else { "" }, &column(&|i| measured[i] - simulated[i]));
+        }
+        let of = |f: &dyn Fn(&RunComparison) -> f64| -> Vec<(f64, f64)> {
+            self.runs.iter().map(|r| (100.0 * r.duty, f(r))).collect()
+        };
+        let r2 = self.r2_speed.map_or(String::new(), |v| format!(" (R\u{b2} {v:.3})"));
+        let duty = Panel::new("duty (%)", "mean speed (rpm)")
+            .title(format!("Speed against duty{r2}"))
+            .x_range(0.0, 100.0)
+            .points("measured", &of(&|r| r.measured.mean_rpm))
+            .points("simulated", &of(&|r| r.simulated.mean_rpm));
+        Figure::new(title).size(1000, 960).panel(speeds).panel(differences).panel(duty)
+    }
+}
+
+impl ClosedLoop {
+    /// Position against time, recorded and replayed, and what the replay lacks.
+    pub fn panels(&self) -> [Panel; 2] {
+        let degrees = 360.0 / f64::from(self.edges_per_rev);
+        let line = |f: &dyn Fn(&(ControlRow, f64)) -> f64| -> Vec<(f64, f64)> {
+            self.ticks.iter().map(|tick| (tick.0.time_us * 1e-6, f(tick) * degrees)).collect()
+        };
+        let rows: Vec<ControlRow> = self.ticks.iter().map(|tick| tick.0).collect();
+        let replayed: Vec<f64> = self.ticks.iter().map(|tick| tick.1).collect();
+        let left: Vec<(f64, f64)> = stretches(&rows, &replayed)
+            .into_iter()
+            .map(|(time_s, length_s, m, s)| (time_s, rpm(m - s, length_s, self.edges_per_rev)))
+            .collect();
+        [
+            Panel::new("time (s)", "position (\u{b0})")
+                .title(format!("{}: motor and simulated motor under the recorded duty", self.run))
+                .line("target", &line(&|tick| tick.0.target))
+                .line("measured", &line(&|tick| tick.0.position))
+                .dashed("simulated", &line(&|tick| tick.1)),
+            Panel::new("time (s)", "difference (rpm)")
+                .title(format!("{}: measured less simulated speed, over 0.1 s each", self.run))
+                .line(self.run.as_str(), &left),
+        ]
+    }
 }

@@ -1,10 +1,10 @@
 //! What is said of one run: of an open-loop run its course, of a closed loop how it followed.
 
+use crate::model::tracking::{Tick, Tracking};
 use crate::record::measurement::{Measurement, Run, RunData, RunKind};
 use crate::signal::SignalError;
 use crate::signal::course::{Course, Drive};
 use crate::signal::run::{EncoderErrors, Method, Motion, Options, motion};
-use crate::signal::tracking::{Tick, Tracking};
 use crate::signal::turn::ORDERS;
 use serde::Serialize;
 use std::fmt;

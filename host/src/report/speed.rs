@@ -8,6 +8,7 @@ use crate::signal::run::Motion;
 use crate::signal::spectrum::against_angle;
 use crate::signal::turn::TurnFit;
 use std::f64::consts::TAU;
+use twum_fit::quantile::NORMAL_95;
 
 /// Highest order shown.
 const ORDERS_SHOWN: f64 = 10.0;
@@ -83,7 +84,7 @@ pub fn figure(
     let mut over_time = Panel::new("time (s)", "speed (rpm)").title(time_heading(&found)).line("measured", &measured);
     if let Some(sd) = &motion.speed_sd_rpm {
         let band: Vec<(f64, f64, f64)> =
-            measured.iter().zip(sd).map(|((t, v), sd)| (*t, v - 1.96 * sd, v + 1.96 * sd)).collect();
+            measured.iter().zip(sd).map(|((t, v), sd)| (*t, v - NORMAL_95 * sd, v + NORMAL_95 * sd)).collect();
         over_time = over_time.band("95 %", &band);
         over_time = within(over_time, &motion.speed_rpm, simulated);
     }

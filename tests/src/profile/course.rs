@@ -155,7 +155,7 @@ impl Curve {
 
 /// Follows one run: travelled angles in rad every [`CELL_S`] of true time, up to `until`.
 pub fn follow(motor: &Motor, drive: Drive, work: &mut Work, gain: f64, until: f64) -> Vec<f64> {
-    let [rise, fall] = work.curves(motor);
+    let [rise, fall] = motor.curves(work.slack(), &|y| work.stick(y));
     let period = 1.0 / drive.pwm_hz;
     let duty = work.duty(drive.duty);
     let (mut y, mut angle, mut pulse) = (0.0_f64, 0.0_f64, -1_i64);

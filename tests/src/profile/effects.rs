@@ -1,6 +1,5 @@
 //! What this generator can hide: mostly smooth random functions of what an effect hangs on.
 
-use super::course::{Curve, Motor};
 use super::random::{Dice, Periodic, Smooth};
 use crate::drive::Drive;
 use std::collections::BTreeMap;
@@ -245,14 +244,15 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Rise and fall with what is hidden in them.
-    pub fn curves(&self, motor: &Motor) -> [Curve; 2] {
-        let slack: f64 = self.hidden.iter().filter(|e| e.name == "contact-stiffening").map(|e| e.size).sum();
-        let stick = |y: f64| -> f64 {
-            let sticking = self.hidden.iter().filter(|e| e.name == "stribeck-friction");
-            sticking.map(|e| e.size * (1.0 - e.rising.at(y / e.knob(0, 0.08, 0.6)))).sum()
-        };
-        motor.curves(slack, &stick)
+    /// What is hidden adds this to the share in which the rise slackens.
+    pub fn slack(&self) -> f64 {
+        self.hidden.iter().filter(|e| e.name == "contact-stiffening").map(|e| e.size).sum()
+    }
+
+    /// What is hidden holds the rotor back by this at a speed `y` (1: the full one).
+    pub fn stick(&self, y: f64) -> f64 {
+        let sticking = self.hidden.iter().filter(|e| e.name == "stribeck-friction");
+        sticking.map(|e| e.size * (1.0 - e.rising.at(y / e.knob(0, 0.08, 0.6)))).sum()
     }
 
     /// On fraction that reaches the driver.

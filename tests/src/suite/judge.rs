@@ -1,7 +1,7 @@
 //! One answer held against what was hidden.
 
-use super::runner::Outcome;
-use crate::truth::{Hidden, Kind};
+use crate::truth::{Hidden, Kind, Truth};
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// Effects that the same data cannot tell apart in general: with one out of the library, the other stands for it.
@@ -23,6 +23,21 @@ pub const TWINS: [[&str; 2]; 12] = [
 /// Whether two effects are twins.
 pub fn twins(a: &str, b: &str) -> bool {
     TWINS.iter().any(|t| t.contains(&a) && t.contains(&b))
+}
+
+/// What came out for one data set: a line of a results file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Outcome {
+    /// What was hidden.
+    pub truth: Truth,
+    /// The command's JSON; null where it failed.
+    pub answer: Value,
+    /// What the command said where it failed.
+    pub error: Option<String>,
+    /// How long it took in s, on a machine as busy as it was.
+    pub seconds: f64,
+    /// The baseline's error in rpm on the same data with nothing hidden, where that was asked for.
+    pub clean_rmse_rpm: Option<f64>,
 }
 
 impl Outcome {

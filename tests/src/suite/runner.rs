@@ -1,8 +1,8 @@
 //! Runs the command on each data set and appends one JSON line each to a results file. What is there already is skipped.
 
 use super::Case;
+use super::judge::{self, Outcome};
 use crate::truth::{Kind, Truth};
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
@@ -22,21 +22,6 @@ enum Failure {
     TimedOut,
     /// What the command said: a result.
     Said(String),
-}
-
-/// What came out for one data set: a line of a results file.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct Outcome {
-    /// What was hidden.
-    pub truth: Truth,
-    /// The command's JSON; null where it failed.
-    pub answer: Value,
-    /// What the command said where it failed.
-    pub error: Option<String>,
-    /// How long it took in s, on a machine as busy as it was.
-    pub seconds: f64,
-    /// The baseline's error in rpm on the same data with nothing hidden, where that was asked for.
-    pub clean_rmse_rpm: Option<f64>,
 }
 
 /// How to run.
@@ -81,7 +66,7 @@ impl Runner {
                         if let Err(e) = file.write_all(line.as_bytes()) {
                             eprintln!("{}: {e}", path.display());
                         }
-                        eprintln!("{}", super::judge::line(&outcome));
+                        eprintln!("{}", judge::line(&outcome));
                     }
                 });
             }

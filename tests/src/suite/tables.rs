@@ -1,7 +1,6 @@
 //! The tables of the suite, in Markdown.
 
-use super::judge::twins;
-use super::runner::Outcome;
+use super::judge::{self, Outcome, twins};
 use crate::truth::Kind;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -355,7 +354,7 @@ fn failures(outcomes: &[Outcome]) -> String {
         seconds.last().copied().unwrap_or(0.0)
     );
     for o in outcomes.iter().filter(|o| o.error.is_some()) {
-        writeln!(t, "- {}", super::judge::line(o)).expect("writing to a string cannot fail");
+        writeln!(t, "- {}", judge::line(o)).expect("writing to a string cannot fail");
     }
     t
 }

@@ -8,9 +8,7 @@ mod draw;
 pub mod interactive;
 mod trace;
 
-use super::page::Page;
-use crate::output::{self, Existing, OutputError};
-use std::path::Path;
+use crate::output::OutputError;
 
 /// Why a figure was not made.
 #[derive(Debug, thiserror::Error)]
@@ -101,23 +99,9 @@ impl Figure {
         draw::png(self)
     }
 
-    /// Writes the figure to `path`, as SVG, PNG or a page to zoom in, by its extension; one that is there is replaced.
-    ///
-    /// # Errors
-    /// Another extension, a size that cannot be drawn, or a file that cannot be written.
-    pub fn write(&self, path: impl AsRef<Path>) -> Result<(), FigureError> {
-        let path = path.as_ref();
-        let extension = path.extension().map(|e| e.to_ascii_lowercase());
-        let bytes = match extension.as_ref().and_then(|e| e.to_str()) {
-            Some("svg") => self.svg()?.into_bytes(),
-            Some("png") => self.png()?,
-            Some("html") => Page::new(self.title.clone())
-                .figure(Self { title: String::new(), ..self.clone() }, "")
-                .html()
-                .into_bytes(),
-            _ => return Err(FigureError::Extension(path.display().to_string())),
-        };
-        Ok(output::write(path, bytes, Existing::Keep)?)
+    /// Its title, and the figure without it: what a page has in its heading is not said twice.
+    pub fn untitled(&self) -> (String, Self) {
+        (self.title.clone(), Self { title: String::new(), ..self.clone() })
     }
 
     fn rows(&self) -> usize {

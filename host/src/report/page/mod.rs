@@ -4,7 +4,7 @@
 #[cfg(test)]
 pub(crate) mod browser;
 
-use super::figure::Figure;
+use super::figure::{Figure, FigureError};
 use crate::output::{self, Existing, OutputError};
 use askama::Template;
 use std::path::Path;
@@ -170,6 +170,27 @@ impl Page {
 
 fn owned<S: AsRef<str>>(texts: &[S]) -> Vec<String> {
     texts.iter().map(|text| text.as_ref().to_owned()).collect()
+}
+
+impl Figure {
+    /// Writes the figure to `path`, as SVG, PNG or a page to zoom in, by its extension; one that is there is replaced.
+    ///
+    /// # Errors
+    /// Another extension, a size that cannot be drawn, or a file that cannot be written.
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<(), FigureError> {
+        let path = path.as_ref();
+        let extension = path.extension().map(|e| e.to_ascii_lowercase());
+        let bytes = match extension.as_ref().and_then(|e| e.to_str()) {
+            Some("svg") => self.svg()?.into_bytes(),
+            Some("png") => self.png()?,
+            Some("html") => {
+                let (title, figure) = self.untitled();
+                Page::new(title).figure(figure, "").html().into_bytes()
+            }
+            _ => return Err(FigureError::Extension(path.display().to_string())),
+        };
+        Ok(output::write(path, bytes, Existing::Keep)?)
+    }
 }
 
 #[cfg(test)]

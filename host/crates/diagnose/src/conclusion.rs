@@ -1,0 +1,352 @@
+//! From the sets that were visited to what is said of them: verdict, second opinion of runs held out, numbers, left-overs.
+
+use super::discrepancy::Term;
+use super::finding::{Estimate, Finding, Status, Unknown};
+use super::held_out::{Chance, Scorer};
+use super::library::{Coordinate, Effect};
+use super::numbers::estimates;
+use super::problem::{Model, Problem};
+use super::refit::{Noise, objective, refit};
+use super::search::{Ground, Part, Set, strip};
+use super::stats::{Group, HeldOut};
+use super::verdict::{Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, NAMED, TEMPERATURE, judge};
+
+/// What the search is asked to do.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Repetitions of the null.
+    pub repetitions: usize,
+    /// Names taken out of the library.
+    pub without: Vec<String>,
+}
+
+/// Everything that was found.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// The runs as they were compared: lost time put back, stretches of several edges.
+    pub problem: Problem,
+    /// Refitted baseline.
+    pub baseline: Model,
+    /// Model with all accepted effects.
+    pub extended: Model,
+    /// Held-out errors of baseline (0) and extended (1).
+    pub held_out: HeldOut,
+    /// r² over run mean speeds of baseline and extended, held out.
+    pub r2: [Option<f64>; 2],
+    /// Position error of baseline and extended in degrees.
+    pub position_deg: [f64; 2],
+    /// Evidence an effect, accepted ones first.
+    pub findings: Vec<Finding>,
+    /// What no effect explains.
+    pub unknown: Vec<Unknown>,
+    /// Effects that could not be judged, with the reason.
+    pub not_judged: Vec<(String, String)>,
+    /// Noise floor in rpm.
+    pub noise_floor: f64,
+}
+
+/// Scores, numbers and left-overs of the sets that were visited, best first.
+pub fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcome {
+    let scorer = Scorer::new(ground, settings.seed);
+    let root = visited.iter().find(|s| s.parts.is_empty()).unwrap_or(&visited[0]);
+    let standing = Standing::of(ground, &scorer, visited, root, settings.seed);
+    let best = &standing.sets[0];
+    let accepted = accepted_set(&standing.sets, &standing.judged, root);
+    let held_out = scorer.held_out(root).against(&scorer.held_out(accepted));
+    // Chance is judged with the gains that the accepted effects leave.
+    let chance = scorer.chance(root, &accepted.weighed.gains, settings.repetitions, settings.seed);
+    let view = View { ground, scorer: &scorer, chance: &chance, standing: &standing, seed: settings.seed };
+    let mut findings = view.accepted(accepted);
+    share_out(root, &standing.sets, accepted, ground, &mut findings);
+    findings.extend(view.others(visited, accepted));
+    let [structured, all] = [best.terms.last().map_or(best.weighed.left, |t| t.1), best.weighed.left];
+    // What is left without any structure is noise, whatever made it.
+    let structureless = held_out.rmse(1) * (structured / all.max(1e-12)).sqrt();
+    Outcome {
+        noise_floor: scorer.noise_floor(accepted).max(structureless).min(held_out.rmse(1)),
+        r2: [scorer.mean_speed_r2(root), scorer.mean_speed_r2(accepted)],
+        position_deg: [scorer.position_error_deg(&root.model), scorer.position_error_deg(&accepted.model)],
+        problem: ground.problem.clone(),
+        baseline: root.model.clone(),
+        extended: accepted.model.clone(),
+        unknown: left_over(ground, &scorer, &standing.judged, best),
+        held_out,
+        findings,
+        not_judged: Vec::new(),
+    }
+}
+
+/// What the sets say together with runs held out.
+struct Standing {
+    /// The sets without what was struck, best first.
+    sets: Vec<Set>,
+    judged: Judgement,
+    /// What was struck, with its probability then.
+    struck: Vec<(usize, f64)>,
+}
+
+impl Standing {
+    fn of(ground: &Ground, scorer: &Scorer, visited: &[Set], root: &Set, seed: u64) -> Self {
+        let alike = |a: usize, b: usize| ground.effects[a].looks_like(&ground.effects[b]);
+        let background = Background {
+            temperature: if ground.problem.closed() { CLOSED_TEMPERATURE } else { TEMPERATURE },
+            alike: &alike,
+            within_runs: &|e| matches!(ground.effects[e].coordinate, Coordinate::Start | Coordinate::Angle),
+            log_prior_of_spread: &|k, tau| ground.level.log_prior_of(k, tau),
+        };
+        let mut sets = visited.to_vec();
+        let mut struck: Vec<(usize, f64)> = Vec::new();
+        let mut judged = loop {
+            let judged = judge(&sets, root, &background);
+            let more = uncertain_effects(ground, scorer, &sets, root, &judged, seed);
+            if more.is_empty() {
+                break judged;
+            }
+            struck.extend(more.iter().map(|e| (*e, inclusion(&judged, *e))));
+            // What leant on them is judged anew without them, and what looks like them does not take their place.
+            let gone = |e: &usize| more.iter().any(|s| s == e || alike(*s, *e) && !judged.named.contains(e));
+            sets.retain(|s| !s.key().iter().any(gone));
+        };
+        if judged.named.is_empty() && judged.one_of.is_empty() && judged.lives_in.is_empty() {
+            // Something is there, though none of the effects that were fitted says what.
+            let sure = struck.iter().filter(|(_, p)| *p >= NAMED);
+            judged.lives_in.extend(sure.map(|(e, _)| (ground.effects[*e].coordinate.name(), 0.0)));
+        }
+        judged.inclusion.extend(&struck);
+        Self { sets, judged, struck }
+    }
+}
+
+/// What findings are made from.
+struct View<'a> {
+    ground: &'a Ground<'a>,
+    scorer: &'a Scorer<'a>,
+    chance: &'a Chance,
+    standing: &'a Standing,
+    seed: u64,
+}
+
+impl View<'_> {
+    /// Names of the effects that cannot be told from one of these, but for itself.
+    fn rivals(&self, effect: usize) -> Vec<String> {
+        let others = self.standing.judged.set_of(effect).into_iter().flatten().filter(|o| **o != effect);
+        others.map(|o| self.ground.effects[*o].name.to_owned()).collect()
+    }
+
+    /// The effects of the accepted set.
+    fn accepted(&self, accepted: &Set) -> Vec<Finding> {
+        let ground = self.ground;
+        let one = |part: &Part| {
+            let effect = &ground.effects[part.effect];
+            let less = without(ground, &self.standing.sets, accepted, part.effect);
+            let held = self.scorer.held_out(&less).against(&self.scorer.held_out(accepted));
+            // One start, or one course of warmth, cannot be replicated: it is not told from what else happens once.
+            let once =
+                matches!(effect.coordinate, Coordinate::Start | Coordinate::Order) && ground.problem.runs.len() == 1;
+            let unseen: Vec<String> = ground
+                .effects
+                .iter()
+                .filter(|o| o.acts_unseen(ground.problem) && o.is_mistaken_over_duty_for(effect))
+                .map(|o| o.name.to_owned())
+                .collect();
+            let one_of = self.standing.judged.set_of(part.effect).is_some();
+            let p_null = self.chance.p(&held);
+            let parameters = estimates(self.scorer, effect, accepted, part);
+            let by_chance = p_null > LARGEST_P || could_be_none(effect, part, &parameters);
+            let conflicts = match (once || by_chance && !one_of, one_of) {
+                (true, _) => effect.conflicts.iter().map(|c| (*c).to_owned()).collect(),
+                (_, true) => [self.rivals(part.effect), unseen].concat(),
+                _ => unseen,
+            };
+            Finding {
+                name: effect.name.to_owned(),
+                status: if once || by_chance || one_of || !conflicts.is_empty() {
+                    Status::Ambiguous
+                } else {
+                    Status::Named
+                },
+                probability: Some(inclusion(&self.standing.judged, part.effect)),
+                gain: held.gain(),
+                gain_interval: held.gain_interval(self.seed),
+                p_null,
+                parameters,
+                conflicts,
+                next_experiment: effect.next_experiment.to_owned(),
+                share: 0.0,
+                note: if by_chance {
+                    "likely, but chance does as much to such runs, or its size could be none"
+                } else {
+                    ""
+                }
+                .to_owned(),
+            }
+        };
+        accepted.parts.iter().map(one).collect()
+    }
+
+    /// The effects beside the accepted set: rivals, what was struck, and what no probability is left for.
+    fn others(&self, visited: &[Set], accepted: &Set) -> Vec<Finding> {
+        let Standing { judged, struck, .. } = self.standing;
+        let likely = judged.inclusion.iter().map(|i| i.0);
+        let mut effects: Vec<usize> = Vec::new();
+        for e in likely.chain(self.chance.alone.iter().map(|a| a.0)) {
+            if !accepted.key().contains(&e) && !effects.contains(&e) {
+                effects.push(e);
+            }
+        }
+        let one = |effect: usize| {
+            let e = &self.ground.effects[effect];
+            let held = self.chance.alone(effect).cloned().unwrap_or_default();
+            let rival = judged.set_of(effect).is_some();
+            let likely = judged.inclusion.iter().any(|i| i.0 == effect);
+            let set = visited.iter().filter(|_| likely).find(|s| s.key().contains(&effect));
+            let part = set.and_then(|s| s.parts.iter().find(|p| p.effect == effect).map(|p| (s, p)));
+            Finding {
+                name: e.name.to_owned(),
+                status: if rival { Status::Ambiguous } else { Status::Rejected },
+                probability: Some(inclusion(judged, effect)),
+                gain: held.gain(),
+                gain_interval: held.gain_interval(self.seed),
+                p_null: self.chance.p(&held),
+                parameters: part.map_or(Vec::new(), |(s, p)| estimates(self.scorer, e, s, p)),
+                conflicts: if rival { self.rivals(effect) } else { Vec::new() },
+                next_experiment: e.next_experiment.to_owned(),
+                share: 0.0,
+                note: match (likely, struck.iter().any(|(e, _)| *e == effect)) {
+                    (_, true) => "likely, but on runs it was not fitted to it does not help for certain",
+                    (true, _) if judged.withheld => {
+                        "explains part of it, but more lives where no effect acts: not the cause"
+                    }
+                    _ => "",
+                }
+                .to_owned(),
+            }
+        };
+        effects.into_iter().map(one).collect()
+    }
+}
+
+/// Whether everything that makes the size of an effect could be 0.
+fn could_be_none(effect: &Effect, part: &Part, estimates: &[Estimate]) -> bool {
+    let form = &effect.forms[part.form];
+    let is_size = |e: &Estimate| {
+        let reported = effect.reported.iter().filter(|r| r.name == e.name);
+        reported.into_iter().any(|r| form.sizes.iter().any(|s| s.parameter == r.parameter))
+    };
+    let mut sizes = estimates.iter().filter(|e| is_size(e)).peekable();
+    form.phased.is_empty() && sizes.peek().is_some() && sizes.all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0)
+}
+
+/// Probability from which an effect needs no second opinion: that of runs held out is linear around the fit and knows of the noise only
+/// what single runs say. On the generators that may be used for choosing, effects that it doubted had up to 0.991 where they were not there.
+const BEYOND_DOUBT: f64 = 0.995;
+
+/// An effect that does not for certain help on runs it was not fitted to, with those that it cannot be told from; empty if all do.
+fn uncertain_effects(
+    ground: &Ground,
+    scorer: &Scorer,
+    sets: &[Set],
+    root: &Set,
+    judged: &Judgement,
+    seed: u64,
+) -> Vec<usize> {
+    let accepted = accepted_set(sets, judged, root);
+    let all = scorer.held_out(accepted);
+    let doubtful = accepted.parts.iter().filter(|p| certain(judged, p.effect) < BEYOND_DOUBT).find(|p| {
+        let held = scorer.held_out(&without(ground, sets, accepted, p.effect)).against(&all);
+        // Three closed loops have no spread to speak of: there, every gain needs its interval.
+        let helps = held.gain() >= LEAST_GAIN && !ground.problem.closed();
+        !helps && held.gain_interval(seed)[0] <= 0.0
+    });
+    match doubtful.map(|p| p.effect) {
+        Some(effect) => judged.set_of(effect).cloned().unwrap_or_else(|| vec![effect]),
+        None => Vec::new(),
+    }
+}
+
+/// The probability of an effect, or of the set of rivals that it is in.
+fn certain(judged: &Judgement, effect: usize) -> f64 {
+    judged.set_of(effect).map_or(inclusion(judged, effect), |set| set.iter().map(|e| inclusion(judged, *e)).sum())
+}
+
+fn inclusion(judged: &Judgement, effect: usize) -> f64 {
+    judged.inclusion.iter().find(|i| i.0 == effect).map_or(0.0, |i| i.1)
+}
+
+/// The best set that holds every named effect, one of each set of rivals, and nothing else; where none holds all, most of them.
+fn accepted_set<'a>(sets: &'a [Set], judged: &Judgement, root: &'a Set) -> &'a Set {
+    let said = |e: &usize| judged.named.contains(e) || judged.set_of(*e).is_some();
+    let holds = |s: &Set| {
+        let key = s.key();
+        let named = judged.named.iter().filter(|e| key.contains(e)).count();
+        named + judged.one_of.iter().filter(|set| key.iter().any(|e| set.contains(e))).count()
+    };
+    let of_said = sets.iter().filter(|s| s.key().iter().all(said));
+    // The first of equals is the best.
+    of_said.reduce(|best, s| if holds(s) > holds(best) { s } else { best }).unwrap_or(root)
+}
+
+/// The accepted set without one of its effects: visited, or refitted.
+fn without(ground: &Ground, sets: &[Set], accepted: &Set, effect: usize) -> Set {
+    let mut key = accepted.key();
+    key.retain(|e| *e != effect);
+    if let Some(set) = sets.iter().find(|s| s.key() == key) {
+        return set.clone();
+    }
+    let mut set = accepted.clone();
+    if let Some(k) = set.parts.iter().position(|p| p.effect == effect) {
+        let gone = set.parts.remove(k);
+        let from: usize = accepted.parts[..k].iter().map(|p| p.phased.len()).sum();
+        set.weighed.powers.drain(from..from + gone.phased.len());
+        let model = strip(&set.model, &gone);
+        let phased: Vec<_> = set.parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        let free = ground.free(&model, &set.parts);
+        set.model = refit(ground.problem, model, &free, &phased, ground.noise(accepted), 4);
+    }
+    set
+}
+
+/// Shares of the baseline's squared error that each effect removes: the mean of adding it first and adding it last.
+fn share_out(root: &Set, sets: &[Set], accepted: &Set, ground: &Ground, findings: &mut [Finding]) {
+    let error = |s: &Set| objective(ground.problem, &s.model, Noise { variance: 1.0, gain_spread: 0.0 });
+    let (none, all) = (error(root), error(accepted));
+    let removed: Vec<f64> = accepted
+        .parts
+        .iter()
+        .map(|p| {
+            let first = sets.iter().find(|s| s.key() == [p.effect]).map_or(none, &error);
+            let last = error(&without(ground, sets, accepted, p.effect));
+            (0.5 * ((none - first) + (last - all))).max(0.0)
+        })
+        .collect();
+    let total: f64 = removed.iter().sum();
+    for (f, r) in findings.iter_mut().zip(&removed) {
+        f.share = r / total.max(1e-12) * (1.0 - all / none.max(1e-12)).max(0.0);
+    }
+}
+
+/// Terms without physics that the data ask for beside the best set, with what they would gain on runs that were not fitted.
+fn left_over(ground: &Ground, scorer: &Scorer, judged: &Judgement, best: &Set) -> Vec<Unknown> {
+    judged
+        .lives_in
+        .iter()
+        .map(|(place, share)| {
+            let term: Option<&Term> = ground.terms.iter().find(|t| t.lives_in == *place);
+            let gain = term.map_or(0.0, |t| {
+                let (grams, free, _) = scorer.equations(best, &t.columns);
+                let own: Vec<usize> = (0..free).collect();
+                let from = grams.columns() - t.columns.len();
+                let columns: Vec<usize> = (from..grams.columns()).collect();
+                let group = if t.own {
+                    Group::Phased(columns.chunks_exact(2).map(|c| [c[0], c[1]]).collect())
+                } else {
+                    Group::Linear(columns)
+                };
+                grams.hold_out(&own, &group).gain()
+            });
+            Unknown { lives_in: place, gain, share: *share, p_null: super::verdict::LARGEST_P }
+        })
+        .collect()
+}

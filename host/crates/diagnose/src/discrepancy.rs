@@ -1,0 +1,116 @@
+//! Terms without physics: where the model is wrong when no effect of the library says why.
+
+use super::library::Coordinate;
+use super::problem::{Basis, Column, Problem};
+use twum_record::measurement::RunKind;
+
+/// A smooth family of coefficients over one coordinate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Term {
+    /// The coordinate, in words.
+    pub lives_in: &'static str,
+    /// Its columns.
+    pub columns: Vec<Column>,
+    /// Over what the library's effects act that show there, if any do.
+    pub coordinates: &'static [Coordinate],
+    /// Whether every run has coefficients of its own.
+    pub own: bool,
+    /// Whether its columns are pairs of cosine and sine.
+    pub harmonic: bool,
+}
+
+/// Standard deviation of a common coefficient, as a share of the speed.
+pub const SIZE: f64 = 0.1;
+
+/// Knots of a run's own wander in time.
+const WANDER_KNOTS: usize = 16;
+
+/// The terms that these runs can show.
+pub fn terms(problem: &Problem) -> Vec<Term> {
+    let runs = &problem.runs;
+    let pulsed = runs.iter().any(|r| r.kind == RunKind::Track || r.duty.is_some_and(|d| d > 0.0 && d < 1.0));
+    let levels = runs.iter().any(|r| r.level.iter().any(|l| *l != 0));
+    let turning = runs.iter().any(|r| r.revolutions() > 0.6);
+    let flexible = |bases: Vec<Basis>| bases.into_iter().map(Column::Flexible).collect::<Vec<_>>();
+    let mut all = vec![
+        Term {
+            lives_in: "time",
+            columns: flexible((0..6).map(|j| Basis::Time(j, 6)).collect()),
+            coordinates: &[Coordinate::Start],
+            own: false,
+            harmonic: false,
+        },
+        Term {
+            lives_in: "time, each run its own",
+            columns: flexible((0..WANDER_KNOTS).map(|j| Basis::Time(j, WANDER_KNOTS)).collect()),
+            coordinates: &[],
+            own: true,
+            harmonic: false,
+        },
+    ];
+    if pulsed {
+        all.push(Term {
+            lives_in: "PWM phase",
+            columns: flexible((0..8).map(|j| Basis::Phase(j, 8)).collect()),
+            coordinates: &[Coordinate::Pulse],
+            own: false,
+            harmonic: false,
+        });
+        all.push(Term {
+            lives_in: "PWM phase, every other period",
+            columns: flexible(vec![Basis::EveryOtherPeriod]),
+            coordinates: &[],
+            own: false,
+            harmonic: false,
+        });
+        all.push(Term {
+            lives_in: "timing against the PWM",
+            columns: (0..6).map(|j| Column::Lag(j, 6)).collect(),
+            coordinates: &[Coordinate::Clock],
+            own: false,
+            harmonic: false,
+        });
+        all.push(Term {
+            lives_in: "the milliseconds after switching",
+            columns: switching(),
+            coordinates: &[Coordinate::Pulse],
+            own: false,
+            harmonic: false,
+        });
+    }
+    if levels {
+        all.push(Term {
+            lives_in: "encoder slots",
+            columns: flexible(vec![Basis::Slot]),
+            coordinates: &[Coordinate::Slots],
+            own: false,
+            harmonic: false,
+        });
+    }
+    if turning {
+        let harmonics = |from: usize, to: usize| flexible((2 * from - 2..2 * to).map(Basis::Angle).collect());
+        all.push(Term {
+            lives_in: "angle",
+            columns: harmonics(1, 2),
+            coordinates: &[Coordinate::Angle],
+            own: true,
+            harmonic: true,
+        });
+        all.push(Term {
+            lives_in: "angle, three and more times a turn",
+            columns: harmonics(3, 8),
+            coordinates: &[],
+            own: true,
+            harmonic: true,
+        });
+    }
+    all
+}
+
+/// Columns of the free speed in each of the first milliseconds after each switching.
+pub fn switching() -> Vec<Column> {
+    [true, false]
+        .into_iter()
+        .flat_map(|rise| (0..3).map(move |k| Column::Flexible(Basis::AfterSwitching(rise, k))))
+        .collect()
+}

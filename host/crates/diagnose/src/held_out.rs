@@ -1,0 +1,271 @@
+//! How well a set of effects does where it was not fitted.
+
+use super::discrepancy::SIZE;
+use super::library::Phased;
+use super::observe::{Observed, Window};
+use super::problem::{Column, Model, Problem, RPM};
+use super::refit::{coefficients, columns_of, refit};
+use super::search::{Ground, Part, Set};
+use super::stats::{Fold, Grams, Group, HeldOut, Prior, folds};
+use std::f64::consts::{PI, TAU};
+use twum_record::measurement::RunKind;
+
+/// Divisions of the runs that are held out together.
+const FOLDS: usize = 5;
+/// Least number of runs of which whole ones are held out; of fewer, later turns are.
+pub const LEAST_RUNS: usize = 4;
+/// End of the start-up in s: of few runs it happens once or twice, and is neither fitted nor scored.
+const START_UP_S: f64 = 0.1;
+
+/// What chance can do.
+pub struct Chance {
+    /// Largest improvement of any candidate in each null data set.
+    null: Vec<f64>,
+    /// Every effect alone beside the baseline, linearly, in its best form.
+    pub alone: Vec<(usize, HeldOut)>,
+}
+
+impl Chance {
+    /// Share of null data sets in which some candidate does as well.
+    pub fn p(&self, held: &HeldOut) -> f64 {
+        super::stats::p_value(held.improvement(), &self.null)
+    }
+
+    /// The errors of an effect alone.
+    pub fn alone(&self, effect: usize) -> Option<&HeldOut> {
+        self.alone.iter().find(|a| a.0 == effect).map(|a| &a.1)
+    }
+}
+
+/// How runs are held out.
+pub struct Scorer<'a> {
+    ground: &'a Ground<'a>,
+    /// Runs with equal keys repeat each other.
+    pub keys: Vec<String>,
+    divisions: Vec<Fold>,
+}
+
+impl<'a> Scorer<'a> {
+    /// Seeded divisions of the runs.
+    pub fn new(ground: &'a Ground<'a>, seed: u64) -> Self {
+        let runs = &ground.problem.runs;
+        let keys: Vec<String> = runs
+            .iter()
+            .map(|r| format!("{:?}/{:.6}/{}/{}", r.kind, r.duty.unwrap_or(-1.0), r.direction, r.pwm_hz))
+            .collect();
+        let count = if runs.len() < 2 * FOLDS { runs.len() } else { FOLDS };
+        Self { ground, divisions: folds(&keys, count, seed), keys }
+    }
+
+    /// Normal equations of a set with further columns, priors and noise in them, and the columns of its own parameters and pairs.
+    pub fn equations(&self, set: &Set, more: &[Column]) -> (Grams, usize, Vec<[usize; 2]>) {
+        let free = self.ground.free(&set.model, &set.parts);
+        let mut columns = columns_of(&free);
+        let mut pairs = Vec::new();
+        for p in set.parts.iter().flat_map(|p| &p.phased) {
+            pairs.push([columns.len(), columns.len() + 1]);
+            columns.extend(p.columns());
+        }
+        let from = columns.len();
+        columns.extend(more.iter().cloned());
+        let noise = self.ground.noise(set);
+        let prior_of = |k: usize| -> Prior {
+            if k >= from {
+                let precision = noise.variance / (SIZE * SIZE);
+                return Prior { precision, pull: 0.0, noise: noise.variance * precision };
+            }
+            let Some(f) = free.get(k) else { return Prior::default() };
+            let (slope, curvature) = f.prior.pull(set.model.parameters.get(f.parameter));
+            let precision = noise.variance * curvature * f.scale * f.scale;
+            Prior { precision, pull: -noise.variance * slope * f.scale, noise: noise.variance * precision }
+        };
+        let priors = (0..columns.len()).map(prior_of).collect();
+        let designs = self.ground.problem.design(&set.model, &columns);
+        // The scales only keep a singular matrix from being one: what is known is in the priors.
+        let grams = Grams::new(&designs, 0, &vec![30.0; columns.len()], Some(&self.keys), self.divisions.clone());
+        (grams.with_prior(priors), free.len(), pairs)
+    }
+
+    /// Errors on runs that were not fitted: everything common is fitted again without them, linearly around the set's model.
+    pub fn held_out(&self, set: &Set) -> HeldOut {
+        if self.ground.problem.runs.len() < LEAST_RUNS {
+            return self.later_turns(set);
+        }
+        let (grams, free, pairs) = self.equations(set, &[]);
+        let own: Vec<usize> = (0..free).collect();
+        let mut held = grams.hold_out(&own, &Group::Linear(Vec::new()));
+        if !pairs.is_empty() {
+            // Phases were fitted on the very runs that are scored: take off what that is worth by chance.
+            let amplitudes: Vec<f64> = set.weighed.powers.iter().map(|p| (2.0 * p).sqrt()).collect();
+            for (r, f) in grams.phased_freedom(&pairs, &amplitudes).iter().enumerate() {
+                let chance = 2.0 * grams.variance * f;
+                held.loss[r].iter_mut().chain(&mut held.plain[r]).for_each(|error| *error += chance);
+            }
+        }
+        held
+    }
+
+    /// The same for few runs: fitted on the first turn of each, scored by half turns on what follows.
+    fn later_turns(&self, set: &Set) -> HeldOut {
+        let problem = self.ground.problem;
+        let mut first = problem.clone();
+        for run in &mut first.runs {
+            let started = |w: &Window| run.kind == RunKind::Track || middle(run, w) >= START_UP_S;
+            let keep: Vec<Window> = run.windows.iter().copied().filter(|w| !is_later(run, w) && started(w)).collect();
+            run.windows = keep;
+        }
+        let model = self.refit_on(&first, &set.model, &set.parts, set);
+        let mut held = HeldOut::default();
+        for (run, residual) in problem.runs.iter().zip(problem.residuals(&model)) {
+            let mut pieces: std::collections::BTreeMap<usize, (f64, f64)> = std::collections::BTreeMap::new();
+            for (w, rpm) in run.windows.iter().zip(&residual.rpm) {
+                if !is_later(run, w) || middle(run, w) > run.drive_end {
+                    continue;
+                }
+                let piece = pieces.entry((middle_angle(run, w) / PI) as usize).or_default();
+                piece.0 += rpm * rpm * run.duration(w);
+                piece.1 += run.duration(w);
+            }
+            for (error, seconds) in pieces.into_values() {
+                held.loss.push([error; 2]);
+                held.plain.push([error; 2]);
+                held.seconds.push(seconds);
+            }
+        }
+        held
+    }
+
+    fn refit_on(&self, problem: &Problem, model: &Model, parts: &[Part], set: &Set) -> Model {
+        let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        // Under full drive a rotor starts once and never stops: a turn of it says nothing of its friction.
+        let pulsed = problem.runs.iter().any(|r| r.kind == RunKind::Track || r.duty.is_some_and(|d| d < 1.0 - 1e-9));
+        let mut free = self.ground.free(model, parts);
+        if !pulsed {
+            free.truncate(1);
+        }
+        refit(problem, model.clone(), &free, &phased, self.ground.noise(set), 8)
+    }
+
+    /// r² of the mean speeds of held-out runs; none below three duties.
+    pub fn mean_speed_r2(&self, set: &Set) -> Option<f64> {
+        let problem = self.ground.problem;
+        if problem.duties() < 3 || problem.runs.len() < LEAST_RUNS {
+            return None;
+        }
+        let mut columns = columns_of(&self.ground.free(&set.model, &set.parts));
+        let free = columns.len();
+        columns.extend(set.parts.iter().flat_map(|p| &p.phased).flat_map(|p| p.columns()));
+        let designs = problem.design(&set.model, &columns);
+        let grams = Grams::new(&designs, 0, &vec![30.0; columns.len()], Some(&self.keys), self.divisions.clone());
+        let own: Vec<usize> = (0..free).collect();
+        let mut errors = vec![0.0; designs.len()];
+        for (fold, beta) in grams.fold_fits(&own) {
+            for r in fold.test {
+                let d = &designs[r];
+                let rest = |k: usize| -> f64 {
+                    d.y[k] - own.iter().zip(beta.iter()).map(|(c, b)| d.x[k * d.columns + c] * b).sum::<f64>()
+                };
+                errors[r] = (0..d.y.len()).map(|k| rest(k) * d.weight[k]).sum::<f64>() / d.seconds.max(1e-12);
+            }
+        }
+        let speeds: Vec<f64> = problem.runs.iter().map(|r| r.mean_speed_rpm()).collect();
+        let mean = speeds.iter().sum::<f64>() / speeds.len() as f64;
+        let total: f64 = speeds.iter().map(|s| (s - mean).powi(2)).sum();
+        (total > 0.0).then(|| 1.0 - errors.iter().map(|e| e * e).sum::<f64>() / total)
+    }
+
+    /// What sampling and the spread of the gains leave, in rpm.
+    pub fn noise_floor(&self, set: &Set) -> f64 {
+        let problem = self.ground.problem;
+        let (mut sum, mut seconds) = (0.0, 0.0);
+        for (run, r) in problem.runs.iter().zip(problem.residuals(&set.model)) {
+            for (k, w) in run.windows.iter().enumerate() {
+                let dt = run.duration(w).max(1e-6);
+                let (a, b) = (r.speed[w.from], r.speed[w.to]);
+                let timing = if w.low == w.high { run.time_spread * (a * a + b * b).sqrt() / dt * RPM } else { 0.0 };
+                let gain = set.weighed.taus[0] * r.predicted[k];
+                sum += (timing * timing + gain * gain) * dt;
+                seconds += dt;
+            }
+        }
+        (sum / f64::max(seconds, 1e-12)).sqrt()
+    }
+
+    /// Root mean square angle error of a replay, in degrees.
+    pub fn position_error_deg(&self, model: &Model) -> f64 {
+        let problem = self.ground.problem;
+        let (mut sum, mut seconds) = (0.0, 0.0);
+        for (run, r) in problem.runs.iter().zip(problem.residuals(model)) {
+            let (mut error, mut at) = (0.0, 0);
+            for (k, w) in run.windows.iter().enumerate() {
+                // Stretches overlap: from one to the next that begins where it ends.
+                if w.from < at {
+                    continue;
+                }
+                at = w.to;
+                let dt = run.duration(w);
+                error += r.rpm[k] * dt * 6.0;
+                sum += error * error * dt;
+                seconds += dt;
+            }
+        }
+        (sum / f64::max(seconds, 1e-12)).sqrt()
+    }
+
+    /// Share of null data sets in which some candidate of the library does as well as each of `forms` on runs that were not fitted, around
+    /// the set `root`; see [`Grams::screen`].
+    pub fn chance(&self, root: &Set, gains: &[f64], repetitions: usize, seed: u64) -> Chance {
+        let ground = self.ground;
+        let mut columns: Vec<Column> = Vec::new();
+        let mut groups = Vec::new();
+        let base = ground.free(&root.model, &root.parts).len();
+        for &effect in &ground.usable {
+            for form in &ground.effects[effect].forms {
+                let at = base + columns.len();
+                if form.phased.is_empty() {
+                    columns.extend(form.columns());
+                    groups.push((effect, Group::Linear((at..base + columns.len()).collect())));
+                } else {
+                    columns.extend(form.phased.iter().flat_map(|p| p.columns()));
+                    groups.push((
+                        effect,
+                        Group::Phased((0..form.phased.len()).map(|k| [at + 2 * k, at + 2 * k + 1]).collect()),
+                    ));
+                }
+            }
+        }
+        let (grams, free, _) = self.equations(root, &columns);
+        let own: Vec<usize> = (0..free).collect();
+        let plain: Vec<Group> = groups.iter().map(|g| g.1.clone()).collect();
+        let (improvements, null) = grams.screen(&own, &plain, gains, repetitions, seed);
+        let alone = ground
+            .usable
+            .iter()
+            .filter_map(|effect| {
+                let forms = (0..groups.len()).filter(|k| groups[*k].0 == *effect);
+                let best = forms.max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))?;
+                Some((*effect, grams.hold_out(&own, &plain[best])))
+            })
+            .collect();
+        Chance { null, alone }
+    }
+
+    /// Phased coefficients of every run of a set, pair by pair.
+    pub fn phases(&self, set: &Set, pair: Phased) -> Vec<[f64; 2]> {
+        coefficients(&set.model, &[pair]).iter().map(|z| [z[0], z[1]]).collect()
+    }
+}
+
+fn middle(run: &Observed, w: &Window) -> f64 {
+    0.5 * (run.times[w.from] + run.times[w.to])
+}
+
+fn middle_angle(run: &Observed, w: &Window) -> f64 {
+    0.5 * (run.angles[w.from] + run.angles[w.to]).abs()
+}
+
+/// Whether a window lies in the part of a run that is scored: after the first turn, or, of less than one and a half, after half the time.
+pub fn is_later(run: &Observed, w: &Window) -> bool {
+    let by_turns = run.revolutions() >= 1.5 && run.reversals.is_empty();
+    if by_turns { middle_angle(run, w) >= TAU } else { middle(run, w) >= 0.5 * run.drive_end.min(run.record_end) }
+}

@@ -1,0 +1,314 @@
+//! Showing what the simulation gets wrong, naming the cause, and saying how sure that is.
+//!
+//! [`diagnose`] runs the whole procedure over measurement folders: refit the baseline, search a library of effects with
+//! whole runs held out, hold the best against a null that repeats the whole selection, compare it with its rivals, and
+//! look for what no effect explains.
+//!
+//! ```
+//! use twum_diagnose::{Options, diagnose};
+//! use twum_record::measurement::{DriveResponse, Measurement, Run, RunData, RunKind};
+//!
+//! // An ordinary motor that stands still below a tenth of its input, swept up and down three times.
+//! let input: Vec<f64> = (0..600).map(|i| (f64::from(i) * 0.021).sin()).collect();
+//! let rpm = input.iter().map(|u: &f64| 100.0 * u.signum() * (u.abs() - 0.1).max(0.0)).collect();
+//! let time_us = (0..600).map(|i| 5e3 * f64::from(i)).collect();
+//! let data = RunData::Drive { time_us, input, response: DriveResponse::SpeedRpm(rpm) };
+//! let runs = ["a", "b", "c"].map(|id| Run::new(id, RunKind::Speed, data.clone())).to_vec();
+//! let bench = Measurement { name: "bench".into(), motor: String::new(), edges_per_rev: 0, runs, folder: "bench".into() };
+//! let (answer, _) = diagnose(&[bench], &Options { quick: true, ..Options::default() }, &|_, _| ())?;
+//! assert_eq!(answer.named(), ["dead-zone"]);
+//! # Ok::<(), twum_diagnose::DiagnoseError>(())
+//! ```
+//!
+//! `docs/diagnosis.md` walks through it; `docs/detection.md` says how often it errs.
+
+pub mod answer;
+pub mod baseline;
+pub mod cache;
+pub mod conclusion;
+pub mod controller;
+pub mod discrepancy;
+pub mod evidence;
+pub mod finding;
+pub mod gaps;
+pub mod held_out;
+pub mod inertial;
+pub mod level;
+pub mod library;
+pub mod motor;
+pub mod numbers;
+pub mod observe;
+pub mod plan;
+pub mod prior;
+pub mod problem;
+mod pwm_line;
+pub mod refit;
+pub mod rotor;
+pub mod runs;
+pub mod search;
+pub mod stats;
+pub mod verdict;
+
+use answer::Diagnosis;
+use conclusion::{Outcome, Settings};
+use observe::{Observed, observe};
+use problem::Problem;
+use rotor::{P, Parameters};
+use runs::diagnose_runs;
+use twum_record::measurement::{Format, Measurement, Run, RunData, RunKind};
+
+/// Why nothing could be diagnosed.
+#[derive(Debug, thiserror::Error)]
+pub enum DiagnoseError {
+    /// No folder was given, or none holds a run.
+    #[error("there are no runs to diagnose: {0}")]
+    NoRuns(String),
+    /// Folders of different kinds were mixed.
+    #[error("{0}")]
+    Mixed(String),
+}
+
+/// What is asked for.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Answer fast: two repetitions of each run, 2.5 s of each, a null of 150 repetitions.
+    pub quick: bool,
+    /// Whether the baseline lets the rotor coast while the drive is off (flavour `thesis`).
+    pub coasting: bool,
+    /// The motor to start from; the 30 mm PCBMotor's friction without one.
+    pub motor: Option<twum_motor::parameters::Parameters>,
+    /// Effects taken out of the library.
+    pub without: Vec<String>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { seed: 1, quick: false, coasting: false, motor: None, without: Vec::new() }
+    }
+}
+
+/// What the answer was drawn from, for reports and saved models.
+#[derive(Debug, Clone)]
+pub enum Details {
+    /// Several runs of a TWUM.
+    Runs {
+        /// The runs.
+        problem: Problem,
+        /// What the search found.
+        outcome: Box<Outcome>,
+    },
+    /// Runs of an ordinary motor.
+    Inertial(inertial::InertialOutcome),
+}
+
+/// Diagnoses measurement folders together.
+///
+/// # Errors
+/// When there is no run at all, or when folders of different plants are mixed. Data that can be read but say too little
+/// give an answer that says so.
+pub fn diagnose(
+    measurements: &[Measurement],
+    options: &Options,
+    progress: &dyn Fn(&str, f64),
+) -> Result<(Diagnosis, Option<Details>), DiagnoseError> {
+    let total: usize = measurements.iter().map(|m| m.runs.len()).sum();
+    if total == 0 {
+        return Err(DiagnoseError::NoRuns("the folders hold no [[run]]".to_owned()));
+    }
+    let inertial = measurements.iter().filter(|m| m.runs.iter().any(|r| r.format == Format::Drive)).count();
+    if inertial > 0 {
+        if inertial < measurements.len() {
+            return Err(DiagnoseError::Mixed(
+                "runs of an ordinary motor (format `drive`) and of a TWUM cannot be diagnosed together: name one kind of folder".to_owned(),
+            ));
+        }
+        let runs: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).collect();
+        let (runs, mut notes) = inertial::drive_runs(&runs);
+        if runs.is_empty() || runs.iter().all(|r| r.rpm.iter().all(|v| v.abs() < 1e-9)) {
+            notes.push("no run shows motion: nothing can be said about the motor".to_owned());
+            return Ok((Diagnosis::impossible(notes, options.seed), None));
+        }
+        if runs.len() == 1 {
+            notes.push(
+                "one run only: parts of it are held out instead of whole runs, replication is missing".to_owned(),
+            );
+        }
+        let several = runs.len() > 1;
+        let outcome = inertial::search(runs, if options.quick { 150 } else { 400 }, options.seed, &options.without);
+        notes.push(format!(
+            "baseline: speed = {:.1} rpm x input (largest input = 1), lag {:.3} s; Coulomb friction is not refitted, a dead zone is it",
+            outcome.gain_rpm, outcome.lag_s
+        ));
+        if several && !outcome.whole_runs {
+            notes.push(
+                "the runs are not of one motor: values of its own for each run predict better than common ones. Every fourth piece of \
+                 each run is held out instead of whole runs; intervals span the runs"
+                    .to_owned(),
+            );
+        }
+        let diagnosis = Diagnosis::of_inertial(&outcome, several && outcome.whole_runs, notes, options.seed);
+        return Ok((diagnosis, Some(Details::Inertial(outcome))));
+    }
+    let mut notes = Vec::new();
+    let mut runs = Vec::new();
+    for (part, m) in measurements.iter().enumerate() {
+        for run in &m.runs {
+            notes.extend(contradictions(run));
+            match observe(run, m.edges_per_rev) {
+                Ok(mut o) => {
+                    // Folders are taken in the order they are named.
+                    o.order = o.order.map(|k| k.saturating_add(1_000_000 * part as u32));
+                    runs.push(o);
+                }
+                Err(refusal) => notes.push(format!("{refusal}; left out")),
+            }
+        }
+    }
+    notes.extend(if measurements.len() == 1 { doubled_order(&runs) } else { None });
+    if options.quick {
+        let before = runs.len();
+        thin(&mut runs);
+        notes.push(format!(
+            "quick: {} of {before} runs, the first 2.5 s of each, a null of 150 repetitions; small effects and slow ones may be missed",
+            runs.len()
+        ));
+    }
+    if runs.is_empty() {
+        notes.push("no run can be used".to_owned());
+        return Ok((Diagnosis::impossible(notes, options.seed), None));
+    }
+    if runs.iter().all(|r| r.revolutions() < 0.02) {
+        notes.push(
+            "no run shows motion: less than 0.02 turns in any of them. Whether the motor, the drive or the encoder is silent \
+             cannot be told from here; look at the encoder line with the motor turned by hand"
+                .to_owned(),
+        );
+        return Ok((Diagnosis::impossible(notes, options.seed), None));
+    }
+    let edges: usize = runs.iter().map(|r| r.windows.len()).sum();
+    if edges < 30 {
+        notes.push(format!("only {edges} edge intervals in all: too little to tell an effect from sampling noise; make runs of several seconds"));
+        return Ok((Diagnosis::impossible(notes, options.seed), None));
+    }
+    let start = starting_rotor(&runs, options);
+    if runs.len() == 1 {
+        notes.push("one run only: later turns are held out instead of whole runs; replication is missing, and nothing can be said about run-to-run spread".to_owned());
+    }
+    let replicated = runs.len() >= 4;
+    if !replicated && runs.len() > 1 {
+        notes.push("fewer than four runs: no replication, nothing can be said about run-to-run spread".to_owned());
+    }
+    let problem = Problem::new(runs);
+    if problem.duties() == 1 && problem.runs.iter().all(|r| r.kind == RunKind::Speed) {
+        notes.push("one duty only: effects over duty (dead zone, saturation, sag, rounding) cannot be seen; add runs at two other duties".to_owned());
+    }
+    let settings = Settings {
+        seed: options.seed,
+        repetitions: if options.quick { 150 } else { 200 },
+        without: options.without.clone(),
+    };
+    let mut outcome = diagnose_runs(&problem, &start, &settings, progress);
+    notes.extend(doubted_rates(&start, &outcome.extended.parameters));
+    let tracks: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).filter(|r| r.kind == RunKind::Track).collect();
+    if !tracks.is_empty() {
+        let parity = controller::parity(&tracks, settings.repetitions, options.seed, &options.without);
+        if let Some(rms) = parity.rms_steps {
+            notes.push(format!(
+                "control signal recomputed from target and position: {rms:.3} duty steps RMS from the logged one"
+            ));
+        }
+        notes.extend(parity.notes);
+        outcome.findings.splice(0..0, parity.findings);
+    }
+    let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
+    Ok((diagnosis, Some(Details::Runs { problem: outcome.problem.clone(), outcome: Box::new(outcome) })))
+}
+
+/// A rotor to start the refit from: the motor's friction, the free speed the data show.
+pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
+    let mut speeds: Vec<f64> = runs
+        .iter()
+        .filter(|r| r.kind == RunKind::Speed)
+        .filter_map(|r| r.duty.filter(|d| *d > 0.05).map(|d| r.mean_speed_rpm().abs() / problem::RPM / d))
+        .filter(|w| *w > 0.0)
+        .collect();
+    speeds.sort_by(f64::total_cmp);
+    let free = if speeds.is_empty() { 3.6466 } else { speeds[(speeds.len() - 1) * 3 / 4] };
+    // u·Fext·R0/Jr, Ctheta/Jr and 2·Ms/Cs of the 30 mm PCBMotor (thesis, A.4) where no motor is given.
+    let [drive, brake, viscous] = options.motor.as_ref().map_or([1888.0, 1888.0, 0.261], motor::rates);
+    let wave_time_s = options.motor.as_ref().map_or(2.28e-4, motor::wave_time_s);
+    Parameters::new(free, drive, if options.coasting { 0.0 } else { brake }, viscous, 0.02)
+        .with(P::WaveTime, wave_time_s)
+}
+
+/// Friction of the motor file that the runs do not bear out.
+fn doubted_rates(listed: &Parameters, fitted: &Parameters) -> Option<String> {
+    let rates = [(P::OnAcceleration, "under drive"), (P::OffDeceleration, "without drive")];
+    let (rate, when) = rates.into_iter().find(|(rate, _)| {
+        let ratio = fitted.get(*rate) / listed.get(*rate);
+        ratio > 0.0 && ratio.is_finite() && ratio.ln().abs() > 2.0 * baseline::SAME_MOTOR_LOG_SD
+    })?;
+    Some(format!(
+        "these runs do not bear out the motor file's friction {when}: {:.0} rad/s^2 over the inertia there, {:.0} here. The answer is drawn \
+         from the latter; narrower intervals need the friction measured (twum identify friction), or the motor these runs were made with \
+         (--motor, --flavour)",
+        listed.get(rate),
+        fitted.get(rate)
+    ))
+}
+
+/// Metadata that contradict the record.
+fn contradictions(run: &Run) -> Vec<String> {
+    let mut out = Vec::new();
+    let id = &run.id;
+    let last_edge_s = match &run.data {
+        RunData::Levels { start_us, period_us, levels } => (1..levels.len())
+            .rev()
+            .find(|i| levels[*i] != levels[*i - 1])
+            .map(|i| (start_us + i as f64 * period_us) * 1e-6),
+        RunData::Edges { edges, .. } => edges.last().map(|e| e.time_us * 1e-6),
+        _ => None,
+    };
+    if let (Some(edge), Some(end)) = (last_edge_s, run.drive_on_s)
+        && edge > end + 0.2
+    {
+        out.push(format!(
+            "run {id}: edges until {edge:.2} s, but the drive is said to end at {end:.2} s (drive_on_s); what follows it by more than 0.2 s is left out"
+        ));
+    }
+    if run.duty == Some(0.0) && last_edge_s.is_some() {
+        out.push(format!(
+            "run {id}: duty 0, and yet the encoder shows edges: the duty is wrong, or something else turned the motor"
+        ));
+    }
+    out
+}
+
+/// Two runs that claim the same place in the order.
+fn doubled_order(runs: &[Observed]) -> Option<String> {
+    let mut orders: Vec<u32> = runs.iter().filter_map(|r| r.order).collect();
+    let count = orders.len();
+    orders.sort_unstable();
+    orders.dedup();
+    (orders.len() < count)
+        .then(|| "two runs have the same `order`: effects of warmth and wear may be misjudged".to_owned())
+}
+
+/// Keeps two repetitions of each kind of run and the first 2.5 s of each.
+fn thin(runs: &mut Vec<Observed>) {
+    let mut seen: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
+    runs.retain(|r| {
+        let n = seen.entry(format!("{:?}/{:?}/{}/{}", r.kind, r.duty, r.direction, r.pwm_hz)).or_default();
+        *n += 1;
+        *n <= 2
+    });
+    for r in runs {
+        let keep = r.times.iter().take_while(|t| **t <= 2.5).count().max(2);
+        r.times.truncate(keep);
+        r.angles.truncate(keep);
+        r.level.truncate(keep);
+        r.windows.retain(|w| w.to < keep);
+    }
+}

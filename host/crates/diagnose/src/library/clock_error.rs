@@ -1,0 +1,29 @@
+//! `clock-error`.
+
+use super::{Coordinate, Effect, Need, one, reported};
+use crate::rotor::P;
+
+/// `lines` are the relative errors at which the PWM's line stands out.
+pub(super) fn effect(lines: &[f64]) -> Effect {
+    // A drift by a PWM period is far from linear: from where the line says, both signs of what it may drift besides.
+    let error = |e: f64| one(P::ClockError, e.abs().max(1e-3), e, (-0.1, 0.1));
+    let drifting = |e: f64| {
+        let mut form = error(e);
+        form.sizes.extend(one(P::ClockDrift, 5e-3, 2e-5, (-0.05, 0.05)).sizes);
+        form
+    };
+    Effect {
+        name: "clock-error",
+        says: "the recorder's clock runs fast or slow: speeds and PWM periods are scaled alike",
+        equation: "t_recorded = (1 + ε + d·t/2)·t",
+        coordinate: Coordinate::Clock,
+        needs: &[Need::PulsedDrive, Need::Edges],
+        forms: [2e-5].iter().chain(lines).flat_map(|e| [error(*e), drifting(*e)]).collect(),
+        reported: vec![
+            reported("relative_clock_error", "1", P::ClockError),
+            reported("clock_drift_per_s", "1/s", P::ClockDrift),
+        ],
+        conflicts: &["dropped-samples"],
+        next_experiment: "record a reference signal of known frequency on the encoder input",
+    }
+}

@@ -1,0 +1,20 @@
+//! `contact-stiffening`.
+
+use super::{Coordinate, Effect, Need, one, reported};
+use crate::rotor::P;
+
+pub(super) fn effect() -> Effect {
+    // Secants too: a wide band is far from what a narrow one suggests.
+    let band = |step: f64| one(P::SlipExtra, 0.5, step, (0.0, 5.0));
+    Effect {
+        name: "contact-stiffening",
+        says: "the contact takes up the speed difference softly: the rotor approaches the wave's speed slowly",
+        equation: "drive torque saturates within a slip band (s₀ + s)·ω_free instead of s₀·ω_free (contact force ∝ δⁿ)",
+        coordinate: Coordinate::Pulse,
+        needs: &[Need::PulsedDrive],
+        forms: vec![band(0.05), band(0.3), band(1.0)],
+        reported: vec![reported("slip_band_excess", "1", P::SlipExtra)],
+        conflicts: &["high-duty-saturation", "stribeck-friction"],
+        next_experiment: "edge timestamps (format edges) of starts at full duty: the approach to the final speed shows the band",
+    }
+}

@@ -1,0 +1,25 @@
+//! `direction-asymmetry`.
+
+use super::{Coordinate, Effect, Need, one, reported};
+use crate::rotor::P;
+
+pub(super) fn effect() -> Effect {
+    let speed = one(P::AsymSpeed, 0.1, 0.005, (-0.6, 0.6));
+    let brake = one(P::AsymBrake, 0.3, 0.03, (-0.9, 0.9));
+    let mut both = speed.clone();
+    both.sizes.extend(brake.sizes.clone());
+    Effect {
+        name: "direction-asymmetry",
+        says: "the motor is faster in one direction than in the other",
+        equation: "speed·(1 ± g), braking·(1 ± b)",
+        coordinate: Coordinate::Direction,
+        needs: &[Need::BothDirections],
+        forms: vec![speed, both, brake],
+        reported: vec![
+            reported("speed_asymmetry", "1", P::AsymSpeed),
+            reported("braking_asymmetry", "1", P::AsymBrake),
+        ],
+        conflicts: &["gravity-load"],
+        next_experiment: "turn the motor's axis vertical and repeat one duty in both directions: a load's bias goes, an asymmetry stays",
+    }
+}

@@ -1,0 +1,259 @@
+//! Everything that an effect can change in the rotor equation.
+
+/// Number of scalar parameters, see [`P`].
+pub const PARAMETERS: usize = P::ALL.len();
+
+/// One scalar parameter of the rotor equation. The first ones are the baseline's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[repr(usize)]
+pub enum P {
+    /// Free speed under drive in rad/s (the force factor sets it).
+    FreeSpeed,
+    /// Drive torque over inertia in rad/s² (contact friction sets it).
+    OnAcceleration,
+    /// Braking torque with the wave off over inertia in rad/s² (off-phase friction).
+    OffDeceleration,
+    /// How long the dying wave brakes with the drive's own torque after each fall of the drive, in s: all the braking a
+    /// coasting rotor has.
+    RingDown,
+    /// Time in which the stator's wave builds up and dies away, in s, from the motor file (2·Ms/Cs): a crest that is faster than
+    /// the rotor goes on driving it after a fall, one that is slower goes on braking it after a rise.
+    WaveTime,
+    /// Viscous damping over inertia in 1/s.
+    Viscous,
+    /// Common delay of the record behind the drive in s (a nuisance, not physics).
+    Latency,
+    /// Width of the slip band as a fraction of the free speed (contact stiffness and exponent).
+    SlipBand,
+    /// `resonance-heating`: speed lost when warm, as a fraction at full duty.
+    HeatLoss,
+    /// `resonance-heating`: thermal time constant in s.
+    HeatTau,
+    /// `resonance-heating`: share of the warmth that survives until the next run.
+    HeatCarry,
+    /// `frequency-settling`: relative speed excess at the start of a drive.
+    SettleExcess,
+    /// `frequency-settling`: time constant in s.
+    SettleTau,
+    /// `dead-zone`: duty below which nothing moves.
+    DeadDuty,
+    /// `start-delay`: delay of the wave after each PWM rise, in s.
+    StartDelay,
+    /// `start-delay`: rest in s after which nearly two thirds of the delay are there; 0 if all of it always is.
+    DelayRest,
+    /// `duty-quantisation`: how much of the rounding error acts (1 = all of it).
+    QuantShare,
+    /// `duty-quantisation`: number of duty steps.
+    QuantSteps,
+    /// `duty-quantisation`: 0 rounds to the nearest step, 1 to the one below.
+    QuantDown,
+    /// `high-duty-saturation`: 1/us.
+    Saturation,
+    /// `contact-stiffening`: addition to the slip band.
+    SlipExtra,
+    /// `direction-asymmetry`: relative speed difference, half of cw minus ccw.
+    AsymSpeed,
+    /// `direction-asymmetry`: relative braking difference, half of cw minus ccw.
+    AsymBrake,
+    /// `clock-error`: relative error of the recorder's clock.
+    ClockError,
+    /// `unequal-edges`: excess of the high slots as a fraction of a pitch.
+    EdgeOffset,
+    /// `stribeck-friction`: extra friction at rest over inertia in rad/s².
+    StribeckDeceleration,
+    /// `stribeck-friction`: Stribeck speed in rad/s.
+    StribeckSpeed,
+    /// `supply-sag`: relative speed lost at full duty.
+    Sag,
+    /// `supply-sag`: time in s in which the supply gives way and recovers.
+    SagTime,
+    /// `run-in-wear`: relative speed change per unit of log(1 + revs/r0).
+    Wear,
+    /// `run-in-wear`: r0 in revolutions.
+    WearRevolutions,
+    /// `backlash`: lost motion at a reversal, in rad.
+    Backlash,
+    /// `reversal-miscount`: counts gained at a reversal, in the new sense.
+    Miscount,
+    /// `reversal-miscount`: counts gained at every reversal whatever its sense.
+    MiscountDrift,
+    /// `dead-zone`: duty below which the drive is gated off; above it, all of it acts.
+    GateDuty,
+    /// `dead-zone`: how softly the gate opens, in duty.
+    GateWidth,
+    /// `high-duty-saturation`: bend, u/(1 + bend·u^p).
+    Bend,
+    /// `high-duty-saturation`: relative speed lost at full duty, as u^p.
+    BendLoss,
+    /// `high-duty-saturation`: the power p of a bend.
+    BendPower,
+    /// `high-duty-saturation`: what of the duty beyond 1 − `FlatFrom` is lost.
+    FlatTop,
+    /// `clock-error`: change of the clock's relative error a second.
+    ClockDrift,
+    /// `frequency-settling`: 1 where it counts the time of the drive, 0 where it counts time.
+    SettleOnTime,
+    /// `off-phase-braking`: share of the friction without a wave that is missing.
+    OffLoss,
+    /// `preload-runout`: how much of it acts on the speed of the wave (1 = all).
+    RunoutSpeed,
+    /// `preload-runout`: how much of it acts on the drive's torque.
+    RunoutTorque,
+    /// `preload-runout`: how much of it acts on the braking without a wave.
+    RunoutBrake,
+}
+
+impl P {
+    /// All parameters in index order.
+    pub const ALL: [P; 46] = [
+        P::FreeSpeed,
+        P::OnAcceleration,
+        P::OffDeceleration,
+        P::RingDown,
+        P::WaveTime,
+        P::Viscous,
+        P::Latency,
+        P::SlipBand,
+        P::HeatLoss,
+        P::HeatTau,
+        P::HeatCarry,
+        P::SettleExcess,
+        P::SettleTau,
+        P::DeadDuty,
+        P::StartDelay,
+        P::DelayRest,
+        P::QuantShare,
+        P::QuantSteps,
+        P::QuantDown,
+        P::Saturation,
+        P::SlipExtra,
+        P::AsymSpeed,
+        P::AsymBrake,
+        P::ClockError,
+        P::EdgeOffset,
+        P::StribeckDeceleration,
+        P::StribeckSpeed,
+        P::Sag,
+        P::SagTime,
+        P::Wear,
+        P::WearRevolutions,
+        P::Backlash,
+        P::Miscount,
+        P::MiscountDrift,
+        P::GateDuty,
+        P::GateWidth,
+        P::Bend,
+        P::BendLoss,
+        P::BendPower,
+        P::FlatTop,
+        P::ClockDrift,
+        P::SettleOnTime,
+        P::OffLoss,
+        P::RunoutSpeed,
+        P::RunoutTorque,
+        P::RunoutBrake,
+    ];
+}
+
+/// Values of all parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameters([f64; PARAMETERS]);
+
+impl Parameters {
+    /// A rotor with no effect present.
+    pub fn new(free_speed: f64, on_acceleration: f64, off_deceleration: f64, viscous: f64, slip_band: f64) -> Self {
+        let mut p = Self([0.0; PARAMETERS]);
+        p.set(P::FreeSpeed, free_speed);
+        p.set(P::OnAcceleration, on_acceleration);
+        p.set(P::OffDeceleration, off_deceleration);
+        p.set(P::Viscous, viscous);
+        p.set(P::SlipBand, slip_band);
+        p.set(P::HeatTau, 1.0);
+        p.set(P::SettleTau, 0.03);
+        p.set(P::QuantSteps, 32.0);
+        p.set(P::SagTime, 0.01);
+        p.set(P::StribeckSpeed, 0.5);
+        p.set(P::WearRevolutions, 1.0);
+        p.set(P::GateWidth, 0.02);
+        p.set(P::BendPower, 2.0);
+        p.set(P::RunoutSpeed, 1.0);
+        p.set(P::RunoutTorque, 1.0);
+        p
+    }
+
+    /// The value of one parameter.
+    pub fn get(&self, p: P) -> f64 {
+        self.0[p as usize]
+    }
+
+    /// Deceleration without a wave in rad/s², what is missing of the friction taken off.
+    pub fn off_deceleration(&self) -> f64 {
+        self.get(P::OffDeceleration) * (1.0 - self.get(P::OffLoss))
+    }
+
+    /// Sets one parameter.
+    pub fn set(&mut self, p: P, value: f64) {
+        self.0[p as usize] = value;
+    }
+
+    /// The same values with one changed.
+    pub fn with(&self, p: P, value: f64) -> Self {
+        let mut other = self.clone();
+        other.set(p, value);
+        other
+    }
+}
+
+/// Harmonics of a turn in which a runout or an eccentric wheel may act.
+pub const HARMONICS: usize = 4;
+
+/// `Σ a_k·cos(kθ) + b_k·sin(kθ)` of interleaved coefficients.
+pub(super) fn harmonics(coefficients: &[f64; 2 * HARMONICS], theta: f64) -> f64 {
+    let (s, c) = theta.sin_cos();
+    let (mut sk, mut ck) = (s, c);
+    let mut sum = 0.0;
+    for pair in coefficients.chunks_exact(2) {
+        sum += pair[0] * ck + pair[1] * sk;
+        (ck, sk) = (ck * c - sk * s, sk * c + ck * s);
+    }
+    sum
+}
+
+/// What belongs to one run alone: rotor angle is unknown between runs, so angle-dependent effects have a phase a run.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RunTerms {
+    /// Drive modulation: cosine and sine of θ, 2θ, 3θ, 4θ (relative).
+    pub runout: [f64; 2 * HARMONICS],
+    /// Encoder angle error: cosine and sine of θ, 2θ, 3θ, 4θ in rad.
+    pub eccentricity: [f64; 2 * HARMONICS],
+    /// Load torque: cos θ, sin θ coefficients, as a share of the drive's torque.
+    pub gravity: [f64; 2],
+}
+
+impl RunTerms {
+    /// Angle in rad that the encoder reads too far where it reads `measured`: the wheel errs by its own angle, which is the measured one
+    /// less the error.
+    pub fn encoder_error(&self, measured: f64) -> f64 {
+        // Each round leaves an error smaller by the wheel's relative error of speed, a third at most.
+        (0..FIXED_POINT_ROUNDS).fold(0.0, |error, _| harmonics(&self.eccentricity, measured - error))
+    }
+}
+
+/// 0.3^5 of an error that is itself a third of a radian at most: a thousandth of a radian.
+const FIXED_POINT_ROUNDS: usize = 5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if the wheel's error is taken at the measured angle: then a centred circle off its axis has harmonics that it has not.
+    #[test]
+    fn a_wheel_errs_by_its_own_angle() {
+        let mut terms = RunTerms::default();
+        terms.eccentricity[1] = 0.3;
+        for theta in [0.0_f64, 0.7, 2.0, 4.4, 6.0] {
+            let error = 0.3 * theta.sin();
+            assert!((terms.encoder_error(theta + error) - error).abs() < 1e-3, "{theta}");
+        }
+    }
+}

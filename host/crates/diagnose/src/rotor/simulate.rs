@@ -1,0 +1,419 @@
+//! A run, stepped from event to event.
+
+use super::motion::{Piece, off_piece, on_piece};
+use super::parameters::harmonics;
+use super::wave::Wave;
+use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay};
+
+/// What a simulation of one run needs beside the parameters.
+#[derive(Debug, Clone)]
+pub struct RunInput<'a> {
+    /// The drive.
+    pub schedule: &'a Schedule,
+    /// Drive is off from here on, in s (cuts the last period).
+    pub drive_end: f64,
+    /// Measured times in s, ascending, at which the angle is wanted.
+    pub times: &'a [f64],
+    /// Half a sampling period in s (0 for times that are exact): an edge was somewhere in the period around its time.
+    pub half_sample_s: f64,
+    /// Measured angle at these times in rad (angle-dependent effects read it).
+    pub angles: &'a [f64],
+    /// Warmth carried into this run, 0..1.
+    pub warmth: f64,
+    /// Revolutions made before this run.
+    pub revolutions: f64,
+}
+
+/// Wave times after which the crest is full to a few thousandths.
+const WAVE_GONE: f64 = 5.0;
+/// First step after a rise, and how later ones grow with the time since, in wave times.
+const RISE_STEP: f64 = 0.3;
+const RISE_GROWTH: f64 = 0.5;
+/// Longest steps in s: of anything, and of what hangs on the angle.
+const LONGEST_S: f64 = 0.02;
+const LONGEST_OVER_ANGLE_S: f64 = 4e-3;
+/// Step in s while friction changes with a speed that is not far above the Stribeck speed.
+const STRIBECK_S: f64 = 2.5e-4;
+/// Time in s in which the contact takes up the last of a speed difference, at least: a narrower band would be crossed back and forth within
+/// one step.
+const SHORTEST_S: f64 = 1e-7;
+/// Settling times after which nothing is left of it (e⁻⁹).
+const SETTLED: f64 = 9.0;
+/// Change of the speed over a period, relative to the free speed, below which periods repeat each other.
+const REPEATS: f64 = 1e-7;
+
+/// What the drive asks of the wave.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Wanted {
+    /// No wave.
+    Off,
+    /// A wave at its full height.
+    On,
+    /// A wave that builds up since a rise, when a share of its height was missing.
+    Rising { since: f64, missing: f64 },
+}
+
+/// One piece of the period that later ones repeat: when it began and from what.
+struct Repeated {
+    t: f64,
+    angle: f64,
+    speed: f64,
+    piece: Piece,
+}
+
+/// Rotor angle in rad at every measured time, and the rotor speed there in rad/s.
+///
+/// An edge that was seen between two samples lies, its place on the wheel being unknown, anywhere between the rotor's angles at
+/// the two with equal probability: what a measured time stands for is their mean, not the angle in the middle of the period. The
+/// two differ wherever the rotor starts or stops, thousands of times a run.
+pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut Vec<f64>, speed: &mut Vec<f64>) {
+    let mut s = Simulation::new(input, p, terms, std::mem::take(angle), std::mem::take(speed));
+    s.periods();
+    s.coast();
+    (*angle, *speed) = s.finish();
+}
+
+struct Simulation<'a> {
+    input: &'a RunInput<'a>,
+    p: &'a Parameters,
+    terms: &'a RunTerms,
+    wave: Wave,
+    /// What changes slowly or with the angle, so that no period repeats another.
+    has_angle: bool,
+    /// Times that are asked for, in s of the drive; the next of them.
+    asked: Vec<f64>,
+    next: usize,
+    angles: Vec<f64>,
+    speeds: Vec<f64>,
+    t: f64,
+    angle: f64,
+    speed: f64,
+    warmth: f64,
+    sagged: f64,
+    on_time: f64,
+    measured: usize,
+    direction: usize,
+    /// Share of the speed that the bend of a high duty leaves.
+    kept: f64,
+    /// The pieces of the period that is recorded, if one is.
+    record: Option<Vec<Repeated>>,
+}
+
+impl<'a> Simulation<'a> {
+    fn new(
+        input: &'a RunInput,
+        p: &'a Parameters,
+        terms: &'a RunTerms,
+        mut angles: Vec<f64>,
+        mut speeds: Vec<f64>,
+    ) -> Self {
+        angles.clear();
+        speeds.clear();
+        let clock = 1.0 + p.get(P::ClockError);
+        let (latency, drift) = (p.get(P::Latency), p.get(P::ClockDrift));
+        // t_recorded = (1 + ε + drift·t/2)·t, solved to first order in the drift.
+        let driven = |t: f64| (t - latency) / (clock + 0.5 * drift * (t - latency));
+        let half = input.half_sample_s;
+        // Asked for on both sides of every time; put together at the end.
+        let asked = if half > 0.0 {
+            input.times.iter().flat_map(|t| [driven(t - half), driven(t + half)]).collect()
+        } else {
+            input.times.iter().map(|t| driven(*t)).collect()
+        };
+        let wave = Wave {
+            tau: p.get(P::WaveTime).max(0.0),
+            full: p.get(P::FreeSpeed),
+            rate: p.get(P::OnAcceleration).max(1.0),
+            crest: 0.0,
+            since: 0.0,
+        };
+        Self {
+            input,
+            p,
+            terms,
+            wave,
+            has_angle: terms.runout.iter().chain(&terms.gravity).any(|c| *c != 0.0),
+            asked,
+            next: 0,
+            angles,
+            speeds,
+            t: 0.0,
+            angle: 0.0,
+            speed: 0.0,
+            warmth: input.warmth,
+            sagged: 0.0,
+            on_time: 0.0,
+            measured: 0,
+            direction: 0,
+            kept: 1.0,
+            record: None,
+        }
+    }
+
+    fn done(&self) -> bool {
+        self.next >= self.asked.len()
+    }
+
+    /// Whether a period may repeat the one before it: nothing changes slowly or with the angle.
+    fn can_repeat(&self) -> bool {
+        let settle = self.p.get(P::SettleExcess);
+        let since = if self.p.get(P::SettleOnTime) > 0.5 { self.on_time } else { self.t };
+        !self.has_angle
+            && self.p.get(P::HeatLoss) == 0.0
+            && self.p.get(P::Wear) == 0.0
+            && self.input.schedule.directions.len() <= 1
+            && (settle == 0.0 || since > SETTLED * self.p.get(P::SettleTau))
+    }
+
+    fn periods(&mut self) {
+        let periods = &self.input.schedule.periods;
+        let mut before = (f64::NAN, f64::NAN);
+        for (k, period) in periods.iter().enumerate() {
+            if period.start >= self.input.drive_end || self.done() {
+                return;
+            }
+            let whole = period.end <= self.input.drive_end && period.start > 0.0;
+            let same = k > 0 && {
+                let last = &periods[k - 1];
+                last.duty == period.duty && (last.end - last.start - (period.end - period.start)).abs() < 1e-12
+            };
+            let still =
+                (self.speed - before.0).abs() <= REPEATS * self.wave.full && (self.sagged - before.1).abs() <= REPEATS;
+            let repeats = whole && same && self.can_repeat();
+            before = (self.speed, self.sagged);
+            if repeats && let Some(pieces) = self.record.take_if(|r| !r.is_empty()) {
+                self.repeat(period.start, period.end, &pieces);
+                self.record = Some(pieces);
+                continue;
+            }
+            self.record = (repeats && still).then(Vec::new);
+            self.period(period.start, period.end, period.duty);
+            if self.p.get(P::HeatLoss) != 0.0 {
+                let duty = effective_duty(period.duty, self.p);
+                let tau = self.p.get(P::HeatTau).max(1e-3);
+                self.warmth = duty + (self.warmth - duty) * (-(period.end - period.start) / tau).exp();
+            }
+        }
+    }
+
+    /// Answers what falls into a period that repeats a recorded one.
+    fn repeat(&mut self, start: f64, end: f64, pieces: &[Repeated]) {
+        let (first, from) = (pieces[0].t, pieces[0].angle);
+        let mut k = 0;
+        while !self.done() && self.asked[self.next] <= end {
+            let t = self.asked[self.next] - start + first;
+            while k + 1 < pieces.len() && pieces[k + 1].t < t {
+                k += 1;
+            }
+            let (a, w) = pieces[k].piece.at(pieces[k].speed, (t - pieces[k].t).max(0.0));
+            self.angles.push(self.angle + pieces[k].angle - from + a);
+            self.speeds.push(w);
+            self.next += 1;
+        }
+        let last = &pieces[pieces.len() - 1];
+        let (a, w) = last.piece.at(last.speed, end - start + first - last.t);
+        self.angle += last.angle - from + a;
+        self.speed = w;
+        self.t = end;
+        self.wave.since = end;
+    }
+
+    fn period(&mut self, start: f64, end: f64, duty: f64) {
+        let loss = self.p.get(P::BendLoss);
+        self.kept = if loss != 0.0 { 1.0 - loss * duty.powf(self.p.get(P::BendPower)) } else { 1.0 };
+        let duty = effective_duty(duty, self.p);
+        let mut on_from = end - duty * (end - start);
+        if duty < 1.0 - 1e-9 {
+            let rest_s = if start <= 0.0 { f64::INFINITY } else { on_from - start };
+            on_from += start_delay(self.p, rest_s);
+        } else if start <= 0.0 {
+            on_from = on_from.max(0.0) + start_delay(self.p, f64::INFINITY);
+        }
+        let on_from = on_from.clamp(start, end).min(self.input.drive_end);
+        let off_until = end.min(self.input.drive_end);
+        if on_from > start + 1e-9 {
+            let ring_down = if duty < 1.0 - 1e-9 { self.p.get(P::RingDown) } else { 0.0 };
+            self.without_drive(start, on_from, ring_down);
+        }
+        if duty > 0.0 {
+            let missing = self.wave.missing(on_from);
+            let rising = self.wave.tau > 0.0 && missing > 1e-3;
+            self.wave.rise(on_from, off_until);
+            self.advance(off_until, if rising { Wanted::Rising { since: on_from, missing } } else { Wanted::On }, 0.0);
+        }
+    }
+
+    /// From a fall of the drive: the crest outruns the rotor for a while, brakes it as it dies, and is gone.
+    fn without_drive(&mut self, fall: f64, until: f64, ring_down: f64) {
+        let overrun = fall + self.wave.overrun_s(fall, self.speed);
+        self.advance(until.min(overrun), Wanted::On, 0.0);
+        if ring_down > 0.0 {
+            self.advance(until.min(overrun + ring_down), Wanted::Off, self.wave.rate);
+        }
+        self.advance(until, Wanted::Off, self.p.off_deceleration().max(0.0));
+    }
+
+    /// After the last period.
+    fn coast(&mut self) {
+        self.record = None;
+        if let Some(last) = self.asked.last().filter(|_| !self.done()) {
+            let last = last.max(self.t) + 1e-6;
+            self.without_drive(self.t, last, self.p.get(P::RingDown).max(0.0));
+        }
+    }
+
+    fn finish(mut self) -> (Vec<f64>, Vec<f64>) {
+        // Times before the start of the drive, or after numerical ties.
+        self.angles.resize(self.asked.len(), self.angle);
+        self.speeds.resize(self.asked.len(), self.speed);
+        if self.input.half_sample_s > 0.0 {
+            let n = self.input.times.len();
+            for list in [&mut self.angles, &mut self.speeds] {
+                for k in 0..n {
+                    list[k] = 0.5 * (list[2 * k] + list[2 * k + 1]);
+                }
+                list.truncate(n);
+            }
+        }
+        (self.angles, self.speeds)
+    }
+
+    /// Longest step that may be made now, in s.
+    fn longest_step(&self) -> f64 {
+        let p = self.p;
+        let mut longest = LONGEST_S;
+        if p.get(P::SettleExcess) != 0.0 {
+            longest = longest.min(0.3 * p.get(P::SettleTau)).max(1e-3);
+        }
+        if self.has_angle {
+            longest = longest.min(LONGEST_OVER_ANGLE_S);
+        }
+        let viscous = p.get(P::Viscous);
+        if viscous != 0.0 {
+            longest = longest.min(0.02 / viscous.max(1e-9)).max(5e-4);
+        }
+        if p.get(P::Sag) != 0.0 {
+            longest = longest.min(0.25 * p.get(P::SagTime)).max(5e-4);
+        }
+        if p.get(P::StribeckDeceleration) != 0.0 && self.speed.abs() < 3.0 * p.get(P::StribeckSpeed) {
+            longest = longest.min(STRIBECK_S);
+        }
+        longest
+    }
+
+    /// Advances to `until`, answering what is asked on the way.
+    fn advance(&mut self, until: f64, drive: Wanted, brake: f64) {
+        let p = self.p;
+        let on = drive != Wanted::Off;
+        let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
+        while self.t < until - 1e-12 && !self.done() {
+            let directions = &self.input.schedule.directions;
+            while self.direction + 1 < directions.len() && directions[self.direction + 1].0 <= self.t + 1e-12 {
+                self.direction += 1;
+            }
+            let sign = directions.get(self.direction).map_or(1.0, |d| d.1);
+            let mut end = until.min(self.t + self.longest_step());
+            let mut crest = 1.0;
+            if let Wanted::Rising { since, missing } = drive {
+                // Steps that grow with the time since the rise: the crest moves less and less.
+                let age = self.t - since;
+                if age < WAVE_GONE * self.wave.tau {
+                    end = end.min(self.t + (RISE_STEP * self.wave.tau).max(RISE_GROWTH * age));
+                    crest = 1.0 - missing * (-(0.5 * (self.t + end) - since) / self.wave.tau).exp();
+                }
+            }
+            if let Some(d) = directions.get(self.direction + 1) {
+                end = end.min(d.0);
+            }
+            let (modulation, mut external) = self.over_angle();
+            external -= p.get(P::Viscous) * self.speed + self.stribeck(on, sign);
+            let brake = brake * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0);
+            let mut target = 0.0;
+            let mut acceleration = self.wave.rate;
+            if on {
+                target = sign * self.wave.full * self.gain(sign, modulation, end) * crest;
+                self.on_time += end - self.t;
+                acceleration *= (1.0 + p.get(P::RunoutTorque) * modulation).max(0.01);
+            }
+            if p.get(P::Sag) != 0.0 {
+                let drive = if on { 1.0 } else { 0.0 };
+                self.sagged = drive + (self.sagged - drive) * (-(end - self.t) / p.get(P::SagTime).max(1e-4)).exp();
+            }
+            let band = (band_fraction * target.abs()).max(SHORTEST_S * acceleration);
+            while self.t < end - 1e-12 && !self.done() {
+                let piece = if on {
+                    on_piece(self.speed, target, acceleration, band, external)
+                } else {
+                    off_piece(self.speed, brake, external)
+                };
+                self.follow(piece, end);
+            }
+        }
+    }
+
+    /// Follows a closed form until it ends, or until `end`.
+    fn follow(&mut self, piece: Piece, end: f64) {
+        if let Some(record) = &mut self.record {
+            record.push(Repeated { t: self.t, angle: self.angle, speed: self.speed, piece });
+        }
+        let stop = (self.t + piece.duration.max(1e-9)).min(end);
+        while !self.done() && self.asked[self.next] <= stop {
+            let (a, w) = piece.at(self.speed, (self.asked[self.next] - self.t).max(0.0));
+            self.angles.push(self.angle + a);
+            self.speeds.push(w);
+            self.next += 1;
+        }
+        let (a, w) = piece.at(self.speed, stop - self.t);
+        self.angle += a;
+        self.speed = w;
+        self.t = stop;
+    }
+
+    /// Relative modulation by the angle, and the torque over inertia that hangs on it.
+    fn over_angle(&mut self) -> (f64, f64) {
+        if !self.has_angle {
+            return (0.0, 0.0);
+        }
+        let now = self.t * (1.0 + self.p.get(P::ClockError)) + self.p.get(P::Latency);
+        let times = self.input.times;
+        while self.measured + 1 < times.len() && times[self.measured + 1] <= now {
+            self.measured += 1;
+        }
+        let theta = self.input.angles[self.measured];
+        let (s, c) = theta.sin_cos();
+        let load = self.p.get(P::OnAcceleration) * (self.terms.gravity[0] * c + self.terms.gravity[1] * s);
+        (harmonics(&self.terms.runout, theta), load)
+    }
+
+    /// Friction that fades with speed, over inertia, against the motion.
+    fn stribeck(&self, on: bool, sign: f64) -> f64 {
+        let extra = self.p.get(P::StribeckDeceleration);
+        if extra == 0.0 || !(on || self.speed != 0.0) {
+            return 0.0;
+        }
+        let x = self.speed / self.p.get(P::StribeckSpeed).max(1e-3);
+        let sense = if self.speed != 0.0 { self.speed.signum() } else { sign };
+        sense * extra * (-x * x).exp()
+    }
+
+    /// Factor on the wave's speed until `end`.
+    fn gain(&self, sign: f64, modulation: f64, end: f64) -> f64 {
+        let p = self.p;
+        let mut gain =
+            1.0 - p.get(P::HeatLoss) * self.warmth + sign * p.get(P::AsymSpeed) + p.get(P::RunoutSpeed) * modulation;
+        let wear = p.get(P::Wear);
+        if wear != 0.0 {
+            let revolutions = self.input.revolutions + self.angle.abs() / std::f64::consts::TAU;
+            gain += wear * (1.0 + revolutions / p.get(P::WearRevolutions).max(1e-6)).ln();
+        }
+        if p.get(P::Sag) != 0.0 {
+            let middle = (-0.5 * (end - self.t) / p.get(P::SagTime).max(1e-4)).exp();
+            gain -= p.get(P::Sag) * (1.0 - (1.0 - self.sagged) * middle);
+        }
+        if p.get(P::SettleExcess) != 0.0 {
+            let since = if p.get(P::SettleOnTime) > 0.5 { self.on_time } else { self.t };
+            gain += p.get(P::SettleExcess) * (-(since + 0.5 * (end - self.t)) / p.get(P::SettleTau).max(1e-4)).exp();
+        }
+        (gain * self.kept).max(0.0)
+    }
+}

@@ -1,0 +1,266 @@
+//! The verdict: one function from the sets that were visited to what may be said.
+//!
+//! Every number that decides is here, with its reason; what the evidence itself rests on is in [`super::evidence`],
+//! [`super::level`], [`super::search`] and the priors of the library.
+
+use super::level::NAMES;
+use super::search::Set;
+
+/// Least probability of a name: one wrong in twenty is what a person can live with.
+pub const NAMED: f64 = 0.95;
+/// Least probability with which an effect is still mentioned as a rival.
+pub const POSSIBLE: f64 = 0.05;
+/// By how much the evidence overstates: with a third of the lead, 0.95 is 8.8 nats. On the generators that may be used for choosing six
+/// of the thirteen effects that led by 5 to 9 nats were not there; nothing that was there led by 9 to 13.
+pub const TEMPERATURE: f64 = 3.0;
+/// The same of closed loops, three records that each see everything at once: 0.95 is 18 nats. What was not there led by up to 15; what
+/// was there led by 40 and more, but for one load (9) and what looks like another.
+pub const CLOSED_TEMPERATURE: f64 = 6.0;
+/// Nats by which one of two effects that look alike has to lead: they differ by their form alone, and on the generators that may be used
+/// for choosing the wrong one led by up to 37.
+pub const ALIKE: f64 = 40.0;
+/// Share of all that is removed that a term without physics may remove beside a cause: more, and the cause is not what there is to see.
+const MOST_BESIDE: f64 = 0.4;
+/// Share of what is left that runs may take with courses of their own over time or angle where nothing is hidden: the sampling of edges has
+/// none; discs, recorders and starting took an eighth at most in 19 of 20 motors without an effect.
+const MOST_OF_A_COURSE: f64 = 0.15;
+/// Nats that a spread of gains over duty, direction or order may cost against what is believed of it: beyond, something moves the gains
+/// that no effect of the set explains. 3.3 deviations, one in a thousand.
+const LARGEST_SPREAD: f64 = 5.5;
+/// Smallest held-out gain of what is found outside the evidence (lost samples, the controller, an ordinary motor).
+pub const LEAST_GAIN: f64 = 0.05;
+/// Largest p-value of the same.
+pub const LARGEST_P: f64 = 0.01;
+
+/// What may be said.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judgement {
+    /// Effects with their probability, likeliest first; those below [`POSSIBLE`] left out.
+    pub inclusion: Vec<(usize, f64)>,
+    /// Effects to name.
+    pub named: Vec<usize>,
+    /// The smallest sets of each of which one is there, where none of its effects is certain.
+    pub one_of: Vec<Vec<usize>>,
+    /// Where something lives that no effect explains, strongest first, with the share of all removed squared error that it removes.
+    pub lives_in: Vec<(&'static str, f64)>,
+    /// Whether what lives there is more than may stay beside a cause.
+    pub withheld: bool,
+}
+
+impl Judgement {
+    /// The set of rivals that an effect is in.
+    pub fn set_of(&self, effect: usize) -> Option<&Vec<usize>> {
+        self.one_of.iter().find(|set| set.contains(&effect))
+    }
+}
+
+/// What the verdict has to know of the effects and the runs.
+pub struct Background<'a> {
+    /// What leads are divided by.
+    pub temperature: f64,
+    /// Whether two effects do the same to the data but for their form.
+    pub alike: &'a dyn Fn(usize, usize) -> bool,
+    /// Whether all that an effect does, it does within a run.
+    pub within_runs: &'a dyn Fn(usize) -> bool,
+    /// Log prior of one spread of the gains.
+    pub log_prior_of_spread: &'a dyn Fn(usize, f64) -> f64,
+}
+
+/// The visited sets with their probabilities.
+struct Weighted<'a> {
+    sets: &'a [Set],
+    weights: Vec<f64>,
+}
+
+impl<'a> Weighted<'a> {
+    fn new(sets: &'a [Set], temperature: f64) -> Self {
+        let weights: Vec<f64> = sets.iter().map(|s| ((s.score - sets[0].score) / temperature).exp()).collect();
+        let total: f64 = weights.iter().sum();
+        Self { sets, weights: weights.into_iter().map(|w| w / total).collect() }
+    }
+
+    /// The probability that one of these is there.
+    fn any(&self, of: &[usize]) -> f64 {
+        let holds = |s: &&Set| s.parts.iter().any(|p| of.contains(&p.effect));
+        self.sets.iter().zip(&self.weights).filter(|(s, _)| holds(s)).map(|(_, w)| w).sum()
+    }
+
+    /// The smallest set among these, likeliest first, of which one is there; empty if that is not certain.
+    fn smallest(&self, among: &[usize]) -> Vec<usize> {
+        let mut set = among.to_vec();
+        if self.any(&set) < NAMED {
+            return Vec::new();
+        }
+        for e in among.iter().rev() {
+            let without: Vec<usize> = set.iter().copied().filter(|k| k != e).collect();
+            if self.any(&without) >= NAMED {
+                set = without;
+            }
+        }
+        set
+    }
+}
+
+/// Judges the visited sets, best first. `root` is the set without effects.
+pub fn judge(sets: &[Set], root: &Set, background: &Background) -> Judgement {
+    let weighted = Weighted::new(sets, background.temperature);
+    let mut effects: Vec<usize> = sets.iter().flat_map(Set::key).collect();
+    effects.sort_unstable();
+    effects.dedup();
+    let of = |e: usize| (e, weighted.any(&[e]));
+    let mut inclusion: Vec<(usize, f64)> = effects.into_iter().map(of).filter(|(_, p)| *p >= POSSIBLE).collect();
+    inclusion.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut named: Vec<usize> = inclusion.iter().filter(|(_, p)| *p >= NAMED).map(|(e, _)| *e).collect();
+    let mut one_of = sets_of_rivals(&weighted, &inclusion, background.alike);
+    for (effect, rival) in close_rivals(sets, &named, background.alike) {
+        named.retain(|e| *e != effect);
+        let at = one_of.iter().position(|set| set.contains(&effect) || set.contains(&rival)).unwrap_or_else(|| {
+            one_of.push(Vec::new());
+            one_of.len() - 1
+        });
+        for e in [effect, rival] {
+            if !one_of[at].contains(&e) {
+                one_of[at].push(e);
+            }
+            if !inclusion.iter().any(|(i, _)| *i == e) {
+                inclusion.push(of(e));
+            }
+        }
+    }
+    let spread = background.log_prior_of_spread;
+    let causes: Vec<usize> = named.iter().chain(one_of.iter().flatten()).copied().collect();
+    let lives_in = left_without_cause(&sets[0], root, &causes, background);
+    let beside: f64 = lives_in.iter().map(|l| l.1).sum();
+    // A cause that makes the runs differ by more than they did is none.
+    let taus = sets[0].weighed.taus;
+    let worse = (1..NAMES.len()).any(|k| spread(k, taus[k]) < -LARGEST_SPREAD && taus[k] > root.weighed.taus[k]);
+    let withheld = beside > MOST_BESIDE || worse && !named.is_empty();
+    if withheld {
+        named.clear();
+        one_of.clear();
+    }
+    Judgement { inclusion, named, one_of, lives_in, withheld }
+}
+
+/// Sets of which one is there: first of effects that look alike, then of what is left.
+fn sets_of_rivals(
+    weighted: &Weighted,
+    inclusion: &[(usize, f64)],
+    alike: &dyn Fn(usize, usize) -> bool,
+) -> Vec<Vec<usize>> {
+    let mut open: Vec<usize> = inclusion.iter().filter(|(_, p)| *p < NAMED).map(|(e, _)| *e).collect();
+    let mut found = Vec::new();
+    for effect in open.clone() {
+        let kind: Vec<usize> = open.iter().copied().filter(|e| *e == effect || alike(*e, effect)).collect();
+        let set = weighted.smallest(&kind);
+        if open.contains(&effect) && !set.is_empty() {
+            open.retain(|e| !kind.contains(e));
+            found.push(set);
+        }
+    }
+    let rest = weighted.smallest(&open);
+    found.extend((!rest.is_empty()).then_some(rest));
+    found
+}
+
+/// Named effects with what looks like them and is behind by no more than forms differ: rivals, whatever the probabilities.
+fn close_rivals(sets: &[Set], named: &[usize], alike: &dyn Fn(usize, usize) -> bool) -> Vec<(usize, usize)> {
+    let near = |e: usize| {
+        let without = sets.iter().filter(move |s| s.score > sets[0].score - ALIKE && !s.key().contains(&e));
+        without.flat_map(Set::key).map(move |rival| (e, rival))
+    };
+    let pairs = named.iter().flat_map(|e| near(*e));
+    pairs.filter(|(e, rival)| e != rival && alike(*e, *rival) && !named.contains(rival)).collect()
+}
+
+/// Where something lives that the causes do not explain, with the share of all removed squared error that it would remove.
+fn left_without_cause(best: &Set, root: &Set, causes: &[usize], background: &Background) -> Vec<(&'static str, f64)> {
+    let after = best.terms.last().map_or(best.weighed.left, |t| t.1);
+    let removed = (root.weighed.left - after).max(1e-12);
+    let mut before = best.weighed.left;
+    let mut lives_in = Vec::new();
+    for (place, left) in &best.terms {
+        lives_in.push((*place, ((before - left) / removed).clamp(0.0, 1.0)));
+        before = *left;
+    }
+    for (k, name) in NAMES.iter().enumerate() {
+        if (background.log_prior_of_spread)(k, best.weighed.taus[k]) < -LARGEST_SPREAD && best.weighed.taus[k] > 0.01 {
+            lives_in.push((name, 0.0));
+        }
+    }
+    if !lives_in.is_empty() {
+        return lives_in;
+    }
+    let Some((place, share)) = best.courses.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1)) else {
+        return lives_in;
+    };
+    if causes.is_empty() {
+        lives_in.extend((share > MOST_OF_A_COURSE).then_some((place, share)));
+    } else if causes.iter().all(|e| (background.within_runs)(*e)) {
+        // What causes over the runs remove, gains that differ had taken already: nothing can be held against it.
+        let share = share * best.weighed.left / removed;
+        lives_in.extend((share > MOST_BESIDE).then_some((place, share)));
+    }
+    lives_in
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Effects 0 and 1 look alike, and 2 and 3; what is even acts within runs.
+    fn judged(sets: &[Set]) -> Judgement {
+        let background = Background {
+            temperature: 1.0,
+            alike: &|a, b| a / 2 == b / 2,
+            within_runs: &|e| e % 2 == 0,
+            log_prior_of_spread: &|_, _| 0.0,
+        };
+        judge(sets, sets.iter().find(|s| s.parts.is_empty()).expect("there is a root"), &background)
+    }
+
+    /// Fails if rivals of different kinds make one set: a person would take either of four where it is one of each two.
+    #[test]
+    fn rivals_are_told_apart_by_what_they_look_like() {
+        let pairs = [[0, 2], [0, 3], [1, 2], [1, 3]].map(|pair| Set::of(&pair, 100.0, 1.0));
+        let sets = [pairs.to_vec(), vec![Set::of(&[], 0.0, 9.0)]].concat();
+        assert_eq!(judged(&sets).one_of, [vec![0, 1], vec![2, 3]]);
+    }
+
+    /// Fails if what is as likely as not joins a set that holds without it.
+    #[test]
+    fn a_set_is_the_smallest_that_holds() {
+        let sets = [
+            Set::of(&[4, 0], 100.0, 1.0),
+            Set::of(&[0], 99.9, 1.0),
+            Set::of(&[4, 1], 99.8, 1.0),
+            Set::of(&[1], 99.7, 1.0),
+            Set::of(&[], 0.0, 9.0),
+        ];
+        assert_eq!(judged(&sets).one_of, [vec![0, 1]]);
+    }
+
+    /// Fails if an effect is named that leads what looks like it by less than forms differ, or loses its name to what does not.
+    #[test]
+    fn a_lead_over_what_looks_alike_has_to_be_clear() {
+        let of = |rival: usize, behind: f64| {
+            judged(&[Set::of(&[0], 200.0, 1.0), Set::of(&[rival], 200.0 - behind, 1.0), Set::of(&[], 0.0, 9.0)])
+        };
+        assert_eq!((of(1, 0.9 * ALIKE).named, of(1, 0.9 * ALIKE).one_of), (vec![], vec![vec![0, 1]]));
+        assert_eq!(of(1, 1.1 * ALIKE).named, [0]);
+        assert_eq!(of(2, 0.9 * ALIKE).named, [0]);
+    }
+
+    /// Fails if a name stands beside a course of each run's own that is as large as what it explains, where both lie within the runs.
+    #[test]
+    fn a_course_of_its_own_in_each_run_is_another_cause() {
+        let of = |effect: usize, course: f64| {
+            let mut best = Set::of(&[effect], 100.0, 10.0);
+            best.courses = vec![("time, each run its own", course)];
+            judged(&[best, Set::of(&[], 0.0, 20.0)])
+        };
+        assert!(of(0, 0.5).withheld && of(0, 0.5).named.is_empty());
+        assert_eq!(of(0, 0.3).named, [0]);
+        assert_eq!(of(1, 0.5).named, [1]);
+    }
+}

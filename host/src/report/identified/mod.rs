@@ -1,0 +1,4 @@
+//! What was identified, for people: pictures and text.
+
+pub mod figures;
+pub mod text;
