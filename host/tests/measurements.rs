@@ -146,6 +146,47 @@ fn commands_agree_on_the_figures_of_a_run() {
     assert!(file("c.html").contains(&shown(3)));
 }
 
+/// Frames, ticks, edges and lengths: whoever counts them, counts as many.
+#[test]
+fn commands_agree_on_what_a_recording_holds() {
+    let dir = tempfile::tempdir().unwrap();
+    let said = |args: &[&str]| {
+        let output = twum(dir.path(), &[args, &["--json"]].concat());
+        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        json(&output)
+    };
+    let speed = said(&["speed", "--port", "sim", "--duty", "0.7", "--seconds", "2", "--out", "speed.mcap"]);
+    let track = said(&["track", "--port", "sim", "--seconds", "2", "--out", "track.mcap"]);
+    for (name, made) in [("speed", &speed), ("track", &track)] {
+        let recording = format!("{name}.mcap");
+        let (replay, live) = (said(&["replay", &recording]), said(&["live", &recording, "--once"]));
+        assert_eq!(made["link"]["received"], replay["link"]["device_frames"], "{name}");
+        assert_eq!(made["link"]["lost"], replay["link"]["missing_sequences"], "{name}");
+        assert_eq!(made["recorded_frames"], replay["file"]["frames"], "{name}");
+        assert_eq!(live["link"], replay["link"], "{name}");
+        let exported = said(&["export", &recording, "--to", "folder", name]);
+        assert_eq!(exported["losses"], Value::Array(Vec::new()), "{name}");
+    }
+    let imported = |name: &str| said(&["import", name])["runs"][0].clone();
+    let loop_ticks = [
+        &track["motor"]["ticks"],
+        &said(&["replay", "track.mcap"])["checked"],
+        &said(&["compare", "track.mcap", "--flavour", "physical"])["closed_loops"][0]["controller"]["ticks"],
+        &imported("track")["samples"],
+    ]
+    .map(Value::clone);
+    assert!(loop_ticks.iter().all(|ticks| *ticks == loop_ticks[0] && ticks.is_u64()), "{loop_ticks:?}");
+    let (velocity, folder) = (said(&["velocity", "speed.mcap"])[0].clone(), imported("speed"));
+    for key in ["edges", "duration_s", "id", "duty"] {
+        assert_eq!(speed["motor"][key], velocity[key], "{key}");
+        // A folder's numbers are text.
+        match (velocity[key].as_f64(), folder[key].as_f64()) {
+            (Some(a), Some(b)) => assert!((a - b).abs() < 1e-9, "{key}: {a} in the recording, {b} in the folder"),
+            _ => assert_eq!(velocity[key], folder[key], "{key}"),
+        }
+    }
+}
+
 #[test]
 fn compare_tells_by_how_much_the_simulation_is_off() {
     let dir = tempfile::tempdir().unwrap();

@@ -44,7 +44,7 @@ impl SpeedFigures {
     pub fn of(run: &Run, motion: &Motion) -> Self {
         let course = Course::of(motion, Drive::of(run));
         let fit = course.fit.as_ref();
-        let ends = motion.time_us.first().zip(motion.time_us.last());
+        let (start_us, end_us) = run.span_us();
         let variance = motion.speed_sd_rpm.as_ref().and_then(|sd| {
             let settled = &sd[course.settled.clone()];
             (!settled.is_empty()).then(|| settled.iter().map(|v| v * v).sum::<f64>() / settled.len() as f64)
@@ -56,7 +56,7 @@ impl SpeedFigures {
         Self {
             id: run.id.clone(),
             duty: run.duty,
-            duration_s: ends.map_or(0.0, |(from, to)| (to - from) * 1e-6),
+            duration_s: (end_us - start_us) * 1e-6,
             edges: motion.edges,
             first_edge_s,
             speed_sd_rpm: variance.map(f64::sqrt),
