@@ -2,12 +2,13 @@
 
 use super::discrepancy::Term;
 use super::finding::{Estimate, Finding, Status, Unknown};
+use super::ground::Ground;
 use super::held_out::{Chance, Scorer};
 use super::library::{Coordinate, Effect};
 use super::numbers::estimates;
 use super::problem::{Model, Problem};
 use super::refit::{Noise, objective, refit};
-use super::search::{Ground, Part, Set, strip};
+use super::set::{Part, Set, strip};
 use super::stats::{Group, HeldOut};
 use super::verdict::{Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, NAMED, TEMPERATURE, judge};
 

@@ -1,11 +1,12 @@
 //! How well a set of effects does where it was not fitted.
 
 use super::discrepancy::SIZE;
+use super::ground::Ground;
 use super::library::Phased;
 use super::observe::{Observed, Window};
 use super::problem::{Column, Model, Problem, RPM};
 use super::refit::{coefficients, columns_of, refit};
-use super::search::{Ground, Part, Set};
+use super::set::{Part, Set};
 use super::stats::{Fold, Grams, Group, HeldOut, Prior, folds};
 use std::f64::consts::{PI, TAU};
 use twum_record::measurement::RunKind;

@@ -25,12 +25,14 @@
 pub mod answer;
 pub mod baseline;
 pub mod cache;
+mod candidate;
 pub mod conclusion;
 pub mod controller;
 pub mod discrepancy;
 pub mod evidence;
 pub mod finding;
 pub mod gaps;
+pub mod ground;
 pub mod held_out;
 pub mod inertial;
 pub mod level;
@@ -45,9 +47,11 @@ mod pwm_line;
 pub mod refit;
 pub mod rotor;
 pub mod runs;
-pub mod search;
+mod search;
+pub mod set;
 pub mod stats;
 pub mod verdict;
+mod weighing;
 
 use answer::Diagnosis;
 use conclusion::{Outcome, Settings};

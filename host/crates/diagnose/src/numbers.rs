@@ -5,7 +5,7 @@ use super::finding::Estimate;
 use super::held_out::Scorer;
 use super::library::{Effect, Phased};
 use super::rotor::P;
-use super::search::{Part, Set};
+use super::set::{Part, Set};
 
 /// Share of a number by which the library's form of an effect and the real one may disagree on it.
 const FORM: f64 = 0.04;

@@ -4,13 +4,13 @@ use super::baseline::refit_baseline;
 use super::conclusion::{Outcome, Settings, conclude};
 use super::evidence::independent;
 use super::gaps::{self, Gaps};
+use super::ground::Ground;
 use super::held_out::Scorer;
 use super::library::{Effect, library, not_judged};
 use super::problem::{Model, Problem};
 use super::pwm_line::clock_errors;
 use super::refit::{Noise, objective};
 use super::rotor::{P, Parameters};
-use super::search::Ground;
 
 /// Diagnoses runs, starting from the motor file's rotor.
 pub fn diagnose_runs(

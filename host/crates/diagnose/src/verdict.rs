@@ -4,7 +4,7 @@
 //! [`super::level`], [`super::search`] and the priors of the library.
 
 use super::level::NAMES;
-use super::search::Set;
+use super::set::Set;
 
 /// Least probability of a name: one wrong in twenty is what a person can live with.
 pub const NAMED: f64 = 0.95;

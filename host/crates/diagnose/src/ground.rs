@@ -1,0 +1,90 @@
+//! What sets of effects are weighed on: the runs, the library, and what is free in a model.
+
+use super::baseline::baseline_free;
+use super::discrepancy::{Term, terms};
+use super::evidence::{Question, independent};
+use super::level::Level;
+use super::library::{Effect, Phased};
+use super::problem::{Column, Model, Problem};
+use super::refit::{Free, Noise, columns_of, objective, refit};
+use super::rotor::Parameters;
+use super::set::{Part, Set};
+
+/// What a search works on.
+pub struct Ground<'a> {
+    /// The runs.
+    pub problem: &'a Problem,
+    /// The motor file's rotor.
+    pub home: Parameters,
+    /// The library.
+    pub effects: &'a [Effect],
+    /// Indices of the effects that these runs can show.
+    pub usable: Vec<usize>,
+    /// What the gains of the runs scatter by.
+    pub level: Level,
+    /// How many independent residuals the runs count as.
+    pub independent: f64,
+    /// Terms without physics.
+    pub terms: Vec<Term>,
+}
+
+impl<'a> Ground<'a> {
+    /// Of some runs.
+    pub fn new(problem: &'a Problem, home: Parameters, effects: &'a [Effect], usable: Vec<usize>) -> Self {
+        let rows: usize = problem.runs.iter().map(|r| r.windows.len()).sum();
+        let independent = independent(rows as f64, problem.runs.len());
+        Self { level: Level::new(problem), terms: terms(problem), problem, home, effects, usable, independent }
+    }
+
+    /// What is free in a set: the baseline's own parameters and the effects'.
+    pub fn free(&self, model: &Model, parts: &[Part]) -> Vec<Free> {
+        let mut free = baseline_free(&model.parameters, &self.home, self.problem.closed());
+        free.retain(|own| parts.iter().all(|p| p.free.iter().all(|f| f.parameter != own.parameter)));
+        free.extend(parts.iter().flat_map(|p| p.free.iter().copied()));
+        free
+    }
+
+    /// Log prior of what is free.
+    pub(super) fn log_prior(&self, model: &Model, parts: &[Part]) -> f64 {
+        self.free(model, parts).iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum()
+    }
+
+    /// Squared error in rpm²·s less what the priors are worth of it.
+    pub(super) fn misfit(&self, model: &Model, parts: &[Part], noise: Noise) -> f64 {
+        objective(self.problem, model, noise) - 2.0 * noise.variance * self.log_prior(model, parts)
+    }
+
+    /// What residuals scatter in a set.
+    pub fn noise(&self, set: &Set) -> Noise {
+        let [chance, duty, direction, both, order] = set.weighed.taus;
+        let spread = [chance, duty, direction, both, order].iter().map(|t| t * t).sum::<f64>().sqrt();
+        Noise { variance: set.weighed.variance, gain_spread: spread.clamp(3e-3, 0.1) }
+    }
+
+    /// The model refitted with the effects in it.
+    pub(super) fn refitted(&self, model: Model, parts: &[Part], noise: Noise, steps: usize) -> Model {
+        let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        let free = self.free(&model, parts);
+        refit(self.problem, model, &free, &phased, noise, steps)
+    }
+
+    /// Columns of a set: gain, other free parameters, phased pairs; and what is asked of them.
+    pub(super) fn columns(&self, model: &Model, parts: &[Part]) -> (Vec<Column>, Question) {
+        let free = self.free(model, parts);
+        let mut columns = columns_of(&free);
+        let common = free
+            .iter()
+            .enumerate()
+            .skip(1)
+            .map(|(k, f)| (k, (f.prior.sd_near(model.parameters.get(f.parameter)) / f.scale).min(10.0)))
+            .collect();
+        let mut own = Vec::new();
+        for (group, p) in parts.iter().flat_map(|p| &p.phased).enumerate() {
+            for column in p.columns() {
+                own.push((columns.len(), group));
+                columns.push(column);
+            }
+        }
+        (columns, Question { common, own })
+    }
+}

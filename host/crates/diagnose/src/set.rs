@@ -1,0 +1,90 @@
+//! A set of effects: what is in it, the model with them, and what it weighs.
+
+use super::evidence::Weighed;
+use super::library::Phased;
+use super::problem::Model;
+use super::refit::{Free, put_coefficients};
+use super::rotor::{P, Parameters};
+
+/// One effect in a set.
+#[derive(Debug, Clone)]
+pub struct Part {
+    /// Index in the library.
+    pub effect: usize,
+    /// Index among the effect's forms.
+    pub form: usize,
+    /// Its common parameters.
+    pub free: Vec<Free>,
+    /// Its phased pairs.
+    pub phased: Vec<Phased>,
+}
+
+/// A set of effects, refitted and weighed.
+#[derive(Debug, Clone)]
+pub struct Set {
+    /// The effects.
+    pub parts: Vec<Part>,
+    /// The model with them.
+    pub model: Model,
+    /// Log evidence with costs and priors.
+    pub score: f64,
+    /// What was found by integrating.
+    pub weighed: Weighed,
+    /// Terms without physics that the data ask for beside them, strongest first, with the squared error that is then left.
+    pub terms: Vec<(&'static str, f64)>,
+    /// Share of the squared error left that a course of each run's own over time or angle would take, by the term's name.
+    pub courses: Vec<(&'static str, f64)>,
+    /// Whether others were looked for from it.
+    pub expanded: bool,
+}
+
+impl Set {
+    /// Indices of its effects, sorted.
+    pub fn key(&self) -> Vec<usize> {
+        key(&self.parts)
+    }
+}
+
+/// Indices of the effects, sorted.
+pub fn key(parts: &[Part]) -> Vec<usize> {
+    let mut k: Vec<usize> = parts.iter().map(|p| p.effect).collect();
+    k.sort_unstable();
+    k
+}
+
+/// The model without an effect.
+pub fn strip(model: &Model, part: &Part) -> Model {
+    let mut m = model.clone();
+    let absent = Parameters::new(1.0, 1.0, 1.0, 0.0, 0.0);
+    for f in &part.free {
+        m.parameters.set(f.parameter, absent.get(f.parameter));
+    }
+    for shape in [P::RunoutSpeed, P::RunoutTorque, P::RunoutBrake] {
+        if part.phased.iter().any(|p| matches!(p, Phased::Runout(_))) {
+            m.parameters.set(shape, absent.get(shape));
+        }
+    }
+    let zero = vec![vec![0.0; 2 * part.phased.len()]; m.terms.len()];
+    put_coefficients(&mut m, &part.phased, &zero);
+    m
+}
+
+#[cfg(test)]
+impl Set {
+    /// A set of these effects with a score and a squared error left, and nothing else to say of it.
+    pub fn of(effects: &[usize], score: f64, left: f64) -> Self {
+        let part = |effect: &usize| Part { effect: *effect, form: 0, free: Vec::new(), phased: Vec::new() };
+        let weighed = Weighed {
+            log: score,
+            left,
+            variance: 1.0,
+            taus: [0.01; 5],
+            gains: Vec::new(),
+            common: Vec::new(),
+            powers: Vec::new(),
+        };
+        let model = Model { parameters: Parameters::new(1.0, 1.0, 1.0, 0.0, 0.0), terms: Vec::new() };
+        let parts = effects.iter().map(part).collect();
+        Self { parts, model, score, weighed, terms: Vec::new(), courses: Vec::new(), expanded: false }
+    }
+}

@@ -1,0 +1,193 @@
+//! What a refitted set weighs: its evidence, its priors, what effects cost, and the terms without physics that the data ask for beside it.
+
+use super::baseline::first_noise;
+use super::discrepancy::SIZE;
+use super::evidence::{Equations, Question, Spreads, Start, Weighed, weigh};
+use super::ground::Ground;
+use super::level::Level;
+use super::library::Phased;
+use super::problem::Model;
+use super::refit::coefficients;
+use super::set::{Part, Set};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// What an effect costs before the data, in nats: one in twenty effects is there.
+const EFFECT_COST: f64 = 3.0;
+/// What a second effect over the same coordinate costs besides: the difference between the library's form of one and the real one lies
+/// there too.
+const SAME_COORDINATE: f64 = 10.0;
+/// What a term without physics costs: a cause of the library is the likelier explanation by far, but not beyond all evidence.
+const TERM_COST: f64 = 10.0;
+/// The same where an effect of the library acts over the term's coordinate: there the term is a form of that effect that nobody knows.
+pub(super) const FREE_FORM_COST: f64 = 20.0;
+/// Relative error of speed from which a wheel is no wheel: it would read motion out of its own error.
+const MOST_OF_A_WHEEL: f64 = 0.7;
+/// A plausible amplitude of what goes with the angle (relative, or rad), and its log deviation.
+const AMPLITUDE: (f64, f64) = (0.08, 1.2);
+
+impl Ground<'_> {
+    /// The refitted baseline, weighed.
+    pub fn root(&self, baseline: Model) -> Set {
+        self.weigh_set(Vec::new(), baseline, None)
+    }
+
+    /// Weighs a refitted set; `root` is the set without effects.
+    pub(super) fn weigh_set(&self, parts: Vec<Part>, model: Model, root: Option<&Set>) -> Set {
+        let (mut columns, base) = self.columns(&model, &parts);
+        let own_columns = base.own_range();
+        let at: Vec<std::ops::Range<usize>> = self
+            .terms
+            .iter()
+            .map(|t| {
+                let from = columns.len();
+                columns.extend(t.columns.iter().cloned());
+                from..columns.len()
+            })
+            .collect();
+        let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        let designs = self.problem.design(&model, &columns);
+        let equations = Equations::new(&designs, own_columns, &coefficients(&model, &phased));
+        let without = root.map_or(0.0, |r| r.weighed.left);
+        let start = Start {
+            variance: root
+                .map_or_else(|| first_noise(self.problem, &model, self.independent).variance, |r| r.weighed.variance),
+            taus: self.level.believed(),
+            without,
+            spreads: Spreads::Anywhere,
+        };
+        let scale = Scale { ground: self, equations, base, at };
+        let failed = || Weighed {
+            log: f64::NEG_INFINITY,
+            left: f64::INFINITY,
+            variance: start.variance,
+            taus: start.taus,
+            gains: vec![0.0; self.problem.runs.len()],
+            common: Vec::new(),
+            powers: Vec::new(),
+        };
+        let mut weighed = scale.ask(&[], &start, &self.level).unwrap_or_else(failed);
+        if let Some(r) = root {
+            let shift = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+            let level = self.level.beside_a_shift((shift / weighed.gains.len().max(1) as f64).sqrt());
+            weighed = scale
+                .ask(&[], &Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() }, &level)
+                .unwrap_or_else(failed);
+        }
+        let beside = scale.terms(&weighed, without);
+        let prior = self.log_prior(&model, &parts);
+        let amplitude: f64 = weighed
+            .powers
+            .iter()
+            .map(|p| -0.5 * (((2.0 * p).sqrt() / AMPLITUDE.0).ln() / AMPLITUDE.1).powi(2))
+            .sum::<f64>();
+        let amplitude = if self.parts_admissible(&parts, &weighed.powers) { amplitude } else { f64::NEG_INFINITY };
+        let ways: f64 = parts.iter().map(|p| (self.effects[p.effect].ways() as f64).ln()).sum();
+        let coordinates: std::collections::BTreeSet<_> =
+            parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
+        let shared = (parts.len() - coordinates.len()) as f64;
+        let score = beside.log + prior + amplitude - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
+        Set { parts, model, score, weighed, terms: beside.left, courses: beside.courses, expanded: false }
+    }
+
+    fn term_cost(&self, term: usize) -> f64 {
+        let over = |e: &usize| self.terms[term].coordinates.contains(&self.effects[*e].coordinate);
+        if self.usable.iter().any(over) { FREE_FORM_COST } else { TERM_COST }
+    }
+
+    /// Whether what goes with the angle goes with it once or twice a turn before all: a rhythm of the third harmonic and beyond is another
+    /// cause (poles, teeth, a contact of many points).
+    fn parts_admissible(&self, parts: &[Part], powers: &[f64]) -> bool {
+        let mut at = 0;
+        parts.iter().all(|part| {
+            let errs = |(p, power): (&Phased, &f64)| match p {
+                Phased::Eccentricity(h) => (h + 1) as f64 * (2.0 * power).sqrt(),
+                _ => 0.0,
+            };
+            let wheel: f64 = part.phased.iter().zip(powers.iter().skip(at)).map(errs).sum();
+            let own = &powers[at.min(powers.len())..(at + part.phased.len()).min(powers.len())];
+            at += part.phased.len();
+            let order = |p: &Phased| match p {
+                Phased::Runout(h) | Phased::Eccentricity(h) => *h,
+                Phased::Gravity => 0,
+            };
+            let (low, high) = part.phased.iter().zip(own).fold((0.0, 0.0), |(low, high), (p, power)| {
+                if order(p) < 2 { (low + power, high) } else { (low, high + power) }
+            });
+            high <= low && wheel < MOST_OF_A_WHEEL
+        })
+    }
+}
+
+/// A set's equations, with the columns of every term without physics in them.
+struct Scale<'g> {
+    ground: &'g Ground<'g>,
+    equations: Equations,
+    base: Question,
+    /// Columns of each term.
+    at: Vec<Range<usize>>,
+}
+
+/// What terms without physics do beside a set.
+struct Beside {
+    /// Log evidence with those that were chosen, less their costs.
+    log: f64,
+    /// Those, strongest first, with the squared error that is then left.
+    left: Vec<(&'static str, f64)>,
+    /// Share of the squared error left that courses of the runs' own would take.
+    courses: Vec<(&'static str, f64)>,
+}
+
+impl Scale<'_> {
+    /// Weighs the set with some of the terms.
+    fn ask(&self, terms: &[usize], start: &Start, level: &Level) -> Option<Weighed> {
+        let mut q = self.base.clone();
+        for t in terms {
+            if self.ground.terms[*t].own {
+                // Each harmonic has a power of its own; the knots of a wander share one.
+                let group = q.own.iter().map(|o| o.1 + 1).max().unwrap_or(0);
+                let pair = |i: usize| if self.ground.terms[*t].harmonic { i / 2 } else { 0 };
+                q.own.extend(self.at[*t].clone().enumerate().map(|(i, c)| (c, group + pair(i))));
+            } else {
+                let sd = if self.ground.terms[*t].lives_in == "timing against the PWM" { 1.0 } else { SIZE };
+                q.common.extend(self.at[*t].clone().map(|c| (c, sd)));
+            }
+        }
+        weigh(&self.equations, level, &q, start)
+    }
+
+    /// The terms that the data ask for, one after the other, at the spreads that the gains have without them.
+    fn terms(&self, weighed: &Weighed, without: f64) -> Beside {
+        let without = without.max(weighed.left);
+        let near = Start { variance: weighed.variance, taus: weighed.taus, without, spreads: Spreads::Stay };
+        let mut chosen: Vec<usize> = Vec::new();
+        let mut best = weighed.log;
+        let mut left = Vec::new();
+        let mut courses = Vec::new();
+        for round in 0..2 {
+            let looks: Vec<(usize, f64, f64)> = (0..self.ground.terms.len())
+                .into_par_iter()
+                .filter(|t| !chosen.contains(t))
+                .filter_map(|t| {
+                    let more = [chosen.clone(), vec![t]].concat();
+                    self.ask(&more, &near, &self.ground.level).map(|w| (t, w.log - self.ground.term_cost(t), w.left))
+                })
+                .collect();
+            if round == 0 {
+                let of_runs = looks.iter().filter(|l| self.ground.terms[l.0].own);
+                let all = weighed.left + self.equations.floor();
+                courses =
+                    of_runs.map(|l| (self.ground.terms[l.0].lives_in, (weighed.left - l.2) / all.max(1e-12))).collect();
+            }
+            let Some((t, log, rest)) = looks.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+            let cost: f64 = chosen.iter().map(|c| self.ground.term_cost(*c)).sum();
+            if log - cost <= best {
+                break;
+            }
+            best = log - cost;
+            chosen.push(t);
+            left.push((self.ground.terms[t].lives_in, rest));
+        }
+        Beside { log: best, left, courses }
+    }
+}
