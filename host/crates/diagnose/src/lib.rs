@@ -25,7 +25,7 @@
 pub mod answer;
 pub mod baseline;
 pub mod cache;
-mod candidate;
+pub mod candidate;
 pub mod conclusion;
 pub mod controller;
 pub mod discrepancy;
@@ -47,11 +47,11 @@ mod pwm_line;
 pub mod refit;
 pub mod rotor;
 pub mod runs;
-mod search;
+pub mod search;
 pub mod set;
 pub mod stats;
 pub mod verdict;
-mod weighing;
+pub mod weighing;
 
 use answer::Diagnosis;
 use conclusion::{Outcome, Settings};
