@@ -1,6 +1,6 @@
 //! The suite: data sets of the generators through the `twum` command as a user calls it, and the tables of what came out.
 //!
-//! Generators A and B may be looked at while priors and numbers of the diagnosis are chosen; C and D are for reporting alone.
+//! What may be looked at while priors and numbers of the diagnosis are chosen says docs/generators.md.
 
 pub mod judge;
 pub mod runner;

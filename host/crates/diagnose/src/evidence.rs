@@ -62,6 +62,20 @@ impl Equations {
         Self { runs, rows: designs.iter().map(|d| d.y.len() as f64).sum() }
     }
 
+    /// What more `columns` would take of the squared error, in rpm²·s, beside those `with`, and what there is without them; each run has
+    /// coefficients of its own for all. Both are by degrees of freedom of the residuals that lie `apart`: what chance takes counts for
+    /// nothing.
+    pub fn course(&self, with: &[usize], columns: std::ops::Range<usize>, apart: f64) -> [f64; 2] {
+        let before: Vec<usize> = std::iter::once(0).chain(with.iter().copied()).collect();
+        let after: Vec<usize> = before.iter().copied().chain(columns).collect();
+        let [before, after] = [before, after].map(|columns| {
+            let fits = self.runs.iter().map(|run| run.fitted(&columns));
+            let (left, taken) = fits.fold((0.0, 0.0), |sum, fit| (sum.0 + fit.0, sum.1 + fit.1));
+            left * apart / (apart - taken).max(0.25 * apart)
+        });
+        [before - after, before]
+    }
+
     /// Squared error in rpm²·s that is none: what any equation misses, of speeds that are the first column.
     pub fn floor(&self) -> f64 {
         MODEL_FLOOR * MODEL_FLOOR * self.runs.iter().map(|r| r.g[(0, 0)]).sum::<f64>()
@@ -69,6 +83,23 @@ impl Equations {
 
     fn independent(&self) -> f64 {
         independent(self.rows, self.runs.len())
+    }
+}
+
+/// Share of the largest diagonal element below which a column says nothing in a run.
+const NEGLIGIBLE: f64 = 1e-9;
+
+impl Normal {
+    /// Squared error left, and coefficients that it took, with `columns` fitted freely.
+    fn fitted(&self, columns: &[usize]) -> (f64, f64) {
+        let largest = columns.iter().map(|c| self.g[(*c, *c)]).fold(0.0, f64::max);
+        let seen: Vec<usize> = columns.iter().copied().filter(|c| self.g[(*c, *c)] > NEGLIGIBLE * largest).collect();
+        let n = seen.len();
+        let ridge = NEGLIGIBLE * largest;
+        let g = DMatrix::from_fn(n, n, |i, j| self.g[(seen[i], seen[j])] + if i == j { ridge } else { 0.0 });
+        let b = DVector::from_fn(n, |i, _| self.b[seen[i]]);
+        let explained = g.cholesky().map_or(0.0, |chol| b.dot(&chol.solve(&b)));
+        ((self.yy - explained).max(0.0), n as f64)
     }
 }
 
@@ -284,4 +315,37 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
         }
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    /// Four runs whose speed, a line over time, is `per run` times 1 + `slope`·t off, with noise.
+    fn equations(gain: f64, slope: f64) -> Equations {
+        let mut dice = rand_chacha::ChaCha8Rng::seed_from_u64(7);
+        let designs: Vec<RunDesign> = (0..4)
+            .map(|run| {
+                let sign = if run % 2 == 0 { 1.0 } else { -1.0 };
+                let t: Vec<f64> = (0..200).map(|k| f64::from(k) / 200.0).collect();
+                let x = t.iter().flat_map(|t| [10.0, 10.0 * t, 10.0 * t * t]).collect();
+                let y = t.iter().map(|t| sign * 10.0 * (gain + slope * t) + dice.random_range(-1.0..1.0)).collect();
+                RunDesign { columns: 3, x, y, weight: vec![1.0; 200], seconds: 200.0 }
+            })
+            .collect();
+        Equations::new(&designs, 0..0, &vec![Vec::new(); 4])
+    }
+
+    /// Fails if a gain that differs between runs counts as a course of theirs, if chance does, or if a course is missed.
+    #[test]
+    fn a_course_is_neither_a_gain_nor_chance() {
+        let share = |e: &Equations| {
+            let [taken, before] = e.course(&[], 1..3, 800.0);
+            taken / before
+        };
+        assert!(share(&equations(0.0, 0.0)).abs() < 0.01);
+        assert!(share(&equations(0.5, 0.0)).abs() < 0.01);
+        assert!(share(&equations(0.5, 0.3)) > 0.5);
+    }
 }

@@ -67,6 +67,14 @@ impl Observed {
         self.windows.iter().map(|w| self.duration(w)).sum()
     }
 
+    /// How many windows that do not overlap hold as much as these, see [`Self::widen`].
+    pub fn apart(&self) -> f64 {
+        let from = self.windows.iter().map(|w| self.times[w.from]).fold(f64::INFINITY, f64::min);
+        let to = self.windows.iter().map(|w| self.times[w.to]).fold(0.0, f64::max);
+        let overlap = self.compared_s() / (to - from).max(1e-9);
+        self.windows.len() as f64 / overlap.max(1.0)
+    }
+
     /// Takes encoder edges (time in s, level after it) of a record from `start` to `end` for what was measured.
     pub fn put_edges(&mut self, edges: &[(f64, bool)], initial: bool, start: f64, end: f64) {
         let word = |level: bool| if level { 1 } else { -1 };

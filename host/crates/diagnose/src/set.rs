@@ -19,6 +19,17 @@ pub struct Part {
     pub phased: Vec<Phased>,
 }
 
+/// What a course of each run's own would take beside a set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Course {
+    /// The term's coordinate, in words.
+    pub lives_in: &'static str,
+    /// Squared error that it would take beyond chance, in rpm²·s.
+    pub taken: f64,
+    /// The same as a share of what there is within runs.
+    pub share: f64,
+}
+
 /// A set of effects, refitted and weighed.
 #[derive(Debug, Clone)]
 pub struct Set {
@@ -32,8 +43,8 @@ pub struct Set {
     pub weighed: Weighed,
     /// Terms without physics that the data ask for beside them, strongest first, with the squared error that is then left.
     pub terms: Vec<(&'static str, f64)>,
-    /// Share of the squared error left that a course of each run's own over time or angle would take, by the term's name.
-    pub courses: Vec<(&'static str, f64)>,
+    /// What courses of each run's own over time or angle would take, the strongest first.
+    pub courses: Vec<Course>,
     /// Whether others were looked for from it.
     pub expanded: bool,
 }

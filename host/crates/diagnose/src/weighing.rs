@@ -1,14 +1,15 @@
 //! What a refitted set weighs: its evidence, its priors, what effects cost, and the terms without physics that the data ask for beside it.
 
 use super::baseline::first_noise;
-use super::discrepancy::SIZE;
+use super::discrepancy::{SIZE, Term};
 use super::evidence::{Equations, Question, Spreads, Start, Weighed, weigh};
 use super::ground::Ground;
 use super::level::Level;
 use super::library::Phased;
-use super::problem::Model;
+use super::observe::Observed;
+use super::problem::{Basis, Column, Model};
 use super::refit::coefficients;
-use super::set::{Part, Set};
+use super::set::{Course, Part, Set};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -45,6 +46,8 @@ impl Ground<'_> {
                 from..columns.len()
             })
             .collect();
+        let speed = columns.len();
+        columns.push(Column::Flexible(Basis::Time(0, 1)));
         let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
         let designs = self.problem.design(&model, &columns);
         let equations = Equations::new(&designs, own_columns, &coefficients(&model, &phased));
@@ -56,7 +59,7 @@ impl Ground<'_> {
             without,
             spreads: Spreads::Anywhere,
         };
-        let scale = Scale { ground: self, equations, base, at };
+        let scale = Scale { ground: self, equations, base, at, speed };
         let failed = || Weighed {
             log: f64::NEG_INFINITY,
             left: f64::INFINITY,
@@ -126,6 +129,8 @@ struct Scale<'g> {
     base: Question,
     /// Columns of each term.
     at: Vec<Range<usize>>,
+    /// The column of the speed itself.
+    speed: usize,
 }
 
 /// What terms without physics do beside a set.
@@ -134,8 +139,8 @@ struct Beside {
     log: f64,
     /// Those, strongest first, with the squared error that is then left.
     left: Vec<(&'static str, f64)>,
-    /// Share of the squared error left that courses of the runs' own would take.
-    courses: Vec<(&'static str, f64)>,
+    /// Courses of the runs' own, the strongest first.
+    courses: Vec<Course>,
 }
 
 impl Scale<'_> {
@@ -163,8 +168,7 @@ impl Scale<'_> {
         let mut chosen: Vec<usize> = Vec::new();
         let mut best = weighed.log;
         let mut left = Vec::new();
-        let mut courses = Vec::new();
-        for round in 0..2 {
+        for _ in 0..2 {
             let looks: Vec<(usize, f64, f64)> = (0..self.ground.terms.len())
                 .into_par_iter()
                 .filter(|t| !chosen.contains(t))
@@ -173,12 +177,6 @@ impl Scale<'_> {
                     self.ask(&more, &near, &self.ground.level).map(|w| (t, w.log - self.ground.term_cost(t), w.left))
                 })
                 .collect();
-            if round == 0 {
-                let of_runs = looks.iter().filter(|l| self.ground.terms[l.0].own);
-                let all = weighed.left + self.equations.floor();
-                courses =
-                    of_runs.map(|l| (self.ground.terms[l.0].lives_in, (weighed.left - l.2) / all.max(1e-12))).collect();
-            }
             let Some((t, log, rest)) = looks.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
             let cost: f64 = chosen.iter().map(|c| self.ground.term_cost(*c)).sum();
             if log - cost <= best {
@@ -188,6 +186,22 @@ impl Scale<'_> {
             chosen.push(t);
             left.push((self.ground.terms[t].lives_in, rest));
         }
-        Beside { log: best, left, courses }
+        Beside { log: best, left, courses: self.courses() }
+    }
+
+    /// What terms of the runs' own would take, the strongest first.
+    fn courses(&self) -> Vec<Course> {
+        // A free speed of the run's own leaves its pulses as steep as they were: a gain of its own changes all of it.
+        let with: Vec<usize> = std::iter::once(self.speed).chain(self.base.own.iter().map(|o| o.0)).collect();
+        let apart = self.ground.problem.runs.iter().map(Observed::apart).sum();
+        let of = |(term, at): (&Term, &Range<usize>)| {
+            let [taken, before] = self.equations.course(&with, at.clone(), apart);
+            let share = taken / (before + self.equations.floor()).max(1e-12);
+            Course { lives_in: term.lives_in, taken, share }
+        };
+        let own = self.ground.terms.iter().zip(&self.at).filter(|(term, _)| term.own);
+        let mut courses: Vec<Course> = own.map(of).collect();
+        courses.sort_by(|a, b| b.share.total_cmp(&a.share));
+        courses
     }
 }
