@@ -216,6 +216,11 @@ mod tests {
         assert!((dead / none - 0.8).abs() < 0.02, "{dead} of {none}");
         let late = speed(&mut hybrid("start-delay", &[1e-3]), 10_000);
         assert!((late / none - 0.9).abs() < 0.02, "{late} of {none}");
+        // After a rest as long as its own, 1 − 1/e of the delay is there.
+        let rested = speed(&mut hybrid("start-delay", &[1e-3, 0.01]), 10_000);
+        assert!((rested / none - 0.937).abs() < 0.01, "{rested} of {none}");
+        let cut = speed(&mut hybrid("duty-quantisation", &[0.2, 1.0]), 10_000);
+        assert!((cut / none - 0.8).abs() < 0.02, "{cut} of {none}");
         let bent = speed(&mut hybrid("high-duty-saturation", &[1.0]), 10_000);
         assert!((bent / none - 1.0 / 1.5).abs() < 0.02, "{bent} of {none}");
         let mut full = hybrid("dead-zone", &[0.08]);
