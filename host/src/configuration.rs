@@ -75,6 +75,8 @@ fn tables(configuration: &Configuration) -> [(&'static str, Vec<(String, Value)>
         named("law", word(&LAWS, control.law)),
         named("dead_band_counts", i64::from(control.dead_band_counts).into()),
         named("conditional_integration", control.conditional_integration.into()),
+        named("reversal_rest_ticks", i64::from(control.reversal_rest_ticks).into()),
+        named("reversal_limit_ticks", i64::from(control.reversal_limit_ticks).into()),
     ];
     let limits = Table::try_from(limits).expect("limits are a struct of integers");
     [("", bench), ("control", control), ("limits", limits.into_iter().collect())]
@@ -199,6 +201,8 @@ fn overlay_control(control: &mut ConfigSpec, table: Table) -> Result<(), Configu
                 control.conditional_integration =
                     value.as_bool().ok_or_else(|| wrong(&name, &value, "true or false is expected"))?;
             }
+            "reversal_rest_ticks" => control.reversal_rest_ticks = integer(&name, &value)?,
+            "reversal_limit_ticks" => control.reversal_limit_ticks = integer(&name, &value)?,
             _ => return Err(ConfigurationError::Unknown(name)),
         }
     }
