@@ -3,8 +3,11 @@
 //! [`to_toml`] and [`overlay`] are exact: what is written and read again is the same configuration, bit for bit. A gain is
 //! written as the number that reads back as itself, and as text where no floating-point number does.
 
+use crate::input;
+use crate::record::measurement::{ControlError, ControlSpec};
 use fixed::types::{I16F48, I32F32};
 use std::fmt::{Display, Write as _};
+use std::path::Path;
 use std::str::FromStr;
 use thiserror::Error;
 use toml::{Table, Value};
@@ -35,6 +38,22 @@ pub enum ConfigurationError {
     /// Values that do not go together, or that the board would refuse.
     #[error("{0}")]
     Refused(String),
+}
+
+/// Why there is no controller.
+#[derive(Debug, Error)]
+pub enum ControllerError {
+    /// Its file's `[control]` will not do.
+    #[error("{path}: {error}")]
+    File {
+        /// The file.
+        path: String,
+        /// What is wrong.
+        error: ConfigurationError,
+    },
+    /// No such name, or gains that cannot run.
+    #[error(transparent)]
+    Gains(#[from] ControlError),
 }
 
 const SIGNS: [(&str, CountSign); 2] = [("positive", CountSign::Positive), ("reversed", CountSign::Reversed)];
@@ -75,6 +94,8 @@ fn tables(configuration: &Configuration) -> [(&'static str, Vec<(String, Value)>
         named("law", word(&LAWS, control.law)),
         named("dead_band_counts", i64::from(control.dead_band_counts).into()),
         named("conditional_integration", control.conditional_integration.into()),
+        named("reversal_rest_ticks", i64::from(control.reversal_rest_ticks).into()),
+        named("reversal_limit_ticks", i64::from(control.reversal_limit_ticks).into()),
     ];
     let limits = Table::try_from(limits).expect("limits are a struct of integers");
     [("", bench), ("control", control), ("limits", limits.into_iter().collect())]
@@ -159,6 +180,23 @@ pub fn overlay_only_limits(base: &Configuration, text: &str) -> Result<Configura
     Ok(configuration)
 }
 
+/// A controller by name (`thesis`, `default`), or from a file: its table `[control]`, of which what is left out is the default's,
+/// or a file of gains as a measurement folder has them.
+///
+/// # Errors
+/// Names the file, the key and what is wrong with it.
+pub fn controller(name: &str) -> Result<ConfigSpec, ControllerError> {
+    let in_file = |error| ControllerError::File { path: name.to_owned(), error };
+    if let (false, Ok(text)) = (["thesis", "default"].contains(&name), input::text(Path::new(name), input::WRITTEN))
+        && let Some(control) = text.parse::<Table>().map_err(|e| in_file(e.into()))?.remove("control")
+    {
+        let alone = Table::from_iter([("control".to_owned(), control)]).to_string();
+        let base = Configuration::with_control(ConfigSpec::DEFAULT);
+        return overlay(&base, &alone).map(|read| read.control).map_err(in_file);
+    }
+    Ok(ControlSpec::named(name)?.config()?)
+}
+
 /// What the board would refuse, before it is asked.
 ///
 /// # Errors
@@ -199,6 +237,8 @@ fn overlay_control(control: &mut ConfigSpec, table: Table) -> Result<(), Configu
                 control.conditional_integration =
                     value.as_bool().ok_or_else(|| wrong(&name, &value, "true or false is expected"))?;
             }
+            "reversal_rest_ticks" => control.reversal_rest_ticks = integer(&name, &value)?,
+            "reversal_limit_ticks" => control.reversal_limit_ticks = integer(&name, &value)?,
             _ => return Err(ConfigurationError::Unknown(name)),
         }
     }
@@ -299,6 +339,38 @@ mod tests {
         let keys: Vec<String> = difference(&base(), &changed).into_iter().map(|(key, _, _)| key).collect();
         assert_eq!(keys, ["count_sign", "limits.stall_ms"]);
         assert_eq!(overlay(&base(), "control = \"thesis\"").unwrap().control, ConfigSpec::THESIS);
+    }
+
+    #[test]
+    fn a_controller_is_a_name_a_table_or_gains() {
+        assert_eq!(controller("thesis").unwrap(), ConfigSpec::THESIS);
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            path.to_str().unwrap().to_owned()
+        };
+        // Every field has a key, and what is left out is the default's.
+        let changed =
+            ConfigSpec { kp: I32F32::lit("50"), reversal_rest_ticks: 7, reversal_limit_ticks: 9, ..ConfigSpec::THESIS };
+        let whole = file("whole.toml", &to_toml(&Configuration { pwm_hz: 60, ..Configuration::with_control(changed) }));
+        assert_eq!(controller(&whole).unwrap(), changed);
+        let part = file("part.toml", "[control]\nkp = 50.0\n");
+        assert_eq!(controller(&part).unwrap(), ConfigSpec { kp: I32F32::lit("50"), ..ConfigSpec::DEFAULT });
+        let gains = file(
+            "gains.toml",
+            "kp = 1.0\nki = 0.5\nkd = 0.0\nperiod_us = 500.0\nduty_steps = 32\nintegral_min = -1.0\nintegral_max = 1.0\n",
+        );
+        assert_eq!(controller(&gains).unwrap().ki_tick, I16F48::from_num(0.5 * 500e-6));
+        for (text, named) in [
+            ("[control]\nkpp = 1\n", "`control.kpp` is unknown"),
+            ("[control]\nreversal_rest_ticks = 3\nreversal_limit_ticks = 2\n", "reversal_rest_ticks must not be above"),
+            ("[control", "TOML parse error"),
+        ] {
+            let error = controller(&file("bad.toml", text)).unwrap_err().to_string();
+            assert!(error.contains(named) && error.contains("bad.toml"), "{text:?}: {error}");
+        }
+        assert!(controller("no-such").unwrap_err().to_string().contains("no-such"));
     }
 
     #[test]

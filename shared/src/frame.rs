@@ -9,7 +9,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Version of the protocol. Another version is refused at the first frame.
-pub const PROTOCOL_VERSION: u8 = 3;
+pub const PROTOCOL_VERSION: u8 = 4;
 /// Longest frame before COBS, bytes.
 pub const MAX_PLAIN: usize = 600;
 /// Longest frame on the line, its separator included, bytes.
@@ -198,7 +198,7 @@ mod tests {
     use crate::message::*;
     use crate::reference::{Reference, WayPoint};
     use crate::safety::Limits;
-    use crate::step::{ConfigSpec, State};
+    use crate::step::{ConfigSpec, Reversal, State};
     use crate::{Direction, Duty, Fault};
     use proptest::prelude::*;
     use std::vec::Vec;
@@ -248,7 +248,8 @@ mod tests {
             mode: Mode::Fault,
             fault: Some(Fault::BootFromWatchdog),
         };
-        let state = State { integral: i32::MIN, previous_error: i32::MIN, direction: Direction::Cw };
+        let reversal = Reversal { rest_left: u16::MAX, limit_left: u16::MAX, position: i32::MIN };
+        let state = State { integral: i32::MIN, previous_error: i32::MIN, direction: Direction::Cw, reversal };
         std::vec![
             DeviceMessage::Hello(identity),
             DeviceMessage::Ack { of: u32::MAX },

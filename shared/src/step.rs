@@ -4,8 +4,11 @@
 //! (appendix C.2), quirks included; [`ConfigSpec::DEFAULT`] is what this project recommends. Both run through the same
 //! [`step`], and so does anything a user configures.
 
+mod reversal;
+
 use crate::{Direction, Duty};
 use fixed::types::{I16F48, I32F32};
+pub use reversal::Reversal;
 use serde::{Deserialize, Serialize};
 
 /// How the control signal becomes a duty.
@@ -43,6 +46,10 @@ pub struct ConfigSpec {
     pub dead_band_counts: u16,
     /// Stop integrating while the drive is saturated in the direction of the error.
     pub conditional_integration: bool,
+    /// The direction changes only after so many ticks with the drive off and without an edge; zero changes it at once.
+    pub reversal_rest_ticks: u16,
+    /// It changes after so many ticks with the drive off at the latest, edges or not.
+    pub reversal_limit_ticks: u16,
 }
 
 impl ConfigSpec {
@@ -60,6 +67,8 @@ impl ConfigSpec {
         law: DriveLaw::ActiveLowTruncated,
         dead_band_counts: 0,
         conditional_integration: false,
+        reversal_rest_ticks: 0,
+        reversal_limit_ticks: 0,
     };
 
     /// The recommended controller: finer duty, symmetric anti-windup, feed-forward of the target's rate, true off.
@@ -77,6 +86,8 @@ impl ConfigSpec {
         law: DriveLaw::OnTimeRounded,
         dead_band_counts: 0,
         conditional_integration: true,
+        reversal_rest_ticks: 0,
+        reversal_limit_ticks: 0,
     };
 }
 
@@ -95,6 +106,9 @@ pub enum ConfigError {
     /// Too few or too many duty steps.
     #[error("{0} duty steps are outside 2..=32768")]
     DutySteps(u16),
+    /// A rest that the limit of the wait would never let come.
+    #[error("reversal_rest_ticks must not be above reversal_limit_ticks")]
+    Reversal,
 }
 
 /// Names a gain in an error.
@@ -168,6 +182,9 @@ impl TryFrom<ConfigSpec> for Config {
         if !(2..=32_768).contains(&spec.duty_steps) {
             return Err(ConfigError::DutySteps(spec.duty_steps));
         }
+        if spec.reversal_rest_ticks > spec.reversal_limit_ticks {
+            return Err(ConfigError::Reversal);
+        }
         Ok(Self { spec })
     }
 }
@@ -181,11 +198,13 @@ pub struct State {
     pub previous_error: i32,
     /// Direction of the last drive.
     pub direction: Direction,
+    /// What a change of the direction waits for, where the controller waits.
+    pub reversal: Reversal,
 }
 
 impl State {
     /// A controller that has seen nothing.
-    pub const REST: Self = Self { integral: 0, previous_error: 0, direction: Direction::Ccw };
+    pub const REST: Self = Self { integral: 0, previous_error: 0, direction: Direction::Ccw, reversal: Reversal::REST };
 }
 
 /// What a tick sees.
@@ -233,6 +252,9 @@ pub fn step(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
         && error.unsigned_abs() <= u32::from(spec.dead_band_counts)
         && spec.dead_band_counts > 0;
     if resting {
+        if spec.reversal_rest_ticks > 0 {
+            state.reversal.waits(spec, inputs.position);
+        }
         return Outputs { u: 0, on_steps: 0, direction: state.direction };
     }
 
@@ -244,15 +266,18 @@ pub fn step(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
         let rate = inputs.target_rate.clamp(-RATE_LIMIT, RATE_LIMIT);
         without_integral += product(spec.feed_forward.to_bits(), rate);
     }
-    let signal = |integral| rounded_q24(without_integral + (product(spec.ki_tick.to_bits(), integral) >> 16));
-    let mut u = signal(integral);
-    let full = i64::from(spec.duty_steps) << 24;
-    let winds_up = spec.conditional_integration && if error > 0 { u > full } else { error < 0 && u < -full };
+    let sum = |integral| without_integral + (product(spec.ki_tick.to_bits(), integral) >> 16);
+    let mut signal = sum(integral);
+    // The first sum that rounds to more than full drive.
+    let beyond = i64::from(spec.duty_steps) << 32 | 128;
+    let winds_up =
+        spec.conditional_integration && if error > 0 { signal >= beyond } else { error < 0 && signal <= -beyond };
     if winds_up {
-        u = signal(limited(state.integral));
+        signal = sum(limited(state.integral));
     } else {
         state.integral = integral;
     }
+    let u = rounded_q24(signal);
 
     // What the law adds before it cuts the fraction off: half a step rounds; a step less 2^-24 is the next whole one, as
     // cutting the high time makes it, and one step more is the one that the thesis leaves on.
@@ -262,8 +287,17 @@ pub fn step(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
     };
     let on = if u < 0 { bias - u } else { bias + u };
     // |u| stays below 2^55, so its whole steps fit 32 bits.
-    let on_steps = ((on >> 24) as u32).min(u32::from(spec.duty_steps)) as u16;
+    let mut on_steps = ((on >> 24) as u32).min(u32::from(spec.duty_steps)) as u16;
     let wanted = if u > 0 { Direction::Cw } else { Direction::Ccw };
+    if spec.reversal_rest_ticks > 0 {
+        let along = on_steps > 0 && wanted == state.direction;
+        if !along && !state.reversal.waits(spec, inputs.position) {
+            on_steps = 0;
+        }
+        if on_steps > 0 {
+            state.reversal.drives(spec, inputs.position);
+        }
+    }
     // The truncating law is never off, so it always turns the way of u.
     let direction = if on_steps > 0 { wanted } else { state.direction };
     state.direction = direction;

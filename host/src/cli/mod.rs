@@ -30,6 +30,7 @@ mod plot;
 mod ports;
 mod reboot;
 mod replay;
+mod robust;
 mod run;
 mod signals;
 mod sim;

@@ -3,11 +3,13 @@
 use super::existing::ExistingArgs;
 use super::flavour::FlavourArgs;
 use super::output::{print_table, stage};
+use super::robust;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::configuration::controller;
 use twum_host::model::braking::{Braking, MEASURED, Point, SIMULATED, braking};
 use twum_host::model::check::check;
 use twum_host::model::closed_loop::{Following, LoopProgram, Tick, following, run as run_loop};
@@ -17,7 +19,7 @@ use twum_host::model::study::{Setup, Speed};
 use twum_host::output::{self, Existing, Output};
 use twum_host::report::figure::{Figure, Panel};
 use twum_shared::reference::Reference;
-use twum_shared::step::{Config, ConfigSpec};
+use twum_shared::step::Config;
 
 /// Arguments of `twum model`.
 #[derive(Debug, clap::Args)]
@@ -30,6 +32,7 @@ Examples:
   twum model torque --plot torque.png
   twum model loop --flavour measured --csv loop.csv --plot loop.svg     the thesis's closed loop
   twum model braking                                how much the rotor brakes with the drive off
+  twum model robust --control thesis --control default    both on 200 motors that differ
   twum model check                                  the tables of docs/model.md, for this motor
 
 Parameters of --set are those of the thesis's section A.4: f, Vrms, Ms, Cs, Ks, eta, Rr, R0, b, n, h, Mr, Jr, Cz, Ctheta,
@@ -89,13 +92,15 @@ enum Question {
         #[arg(long, value_name = "FILE")]
         plot: Option<PathBuf>,
     },
+    /// Controllers on many motors that differ in what is not known: error of the median and of nine in ten
+    Robust(robust::Args),
     /// The motor under the chip's control step, following a sine
     Loop {
         #[command(flatten)]
         common: Common,
-        /// Which controller
-        #[arg(long, value_enum, default_value_t = ControlArg::Thesis)]
-        control: ControlArg,
+        /// Controller: `thesis`, `default`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains
+        #[arg(long, default_value = "thesis")]
+        control: String,
         /// Amplitude of the sine (counts)
         #[arg(long, default_value_t = 89)]
         amplitude: i32,
@@ -146,12 +151,6 @@ enum SolverArg {
     Carrier,
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum ControlArg {
-    Thesis,
-    Default,
-}
-
 impl Common {
     fn setup(&self, duty: f64, seconds: f64) -> Result<Setup> {
         let flavour = self.flavour.get();
@@ -195,8 +194,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
         Question::Braking { motor, json, plot } => brake(&motor, json, plot),
         Question::Check { motor, json } => check_models(&motor, json),
         Question::Loop { common, control, amplitude, omega, true_sense, csv, existing } => {
-            follow(&common, control, amplitude, omega, true_sense, csv, existing)
+            follow(&common, &control, amplitude, omega, true_sense, csv, existing)
         }
+        Question::Robust(args) => robust::run(args),
     }?;
     Ok(ExitCode::SUCCESS)
 }
@@ -437,7 +437,7 @@ struct LoopAnswer {
 
 fn follow(
     common: &Common,
-    control: ControlArg,
+    control: &str,
     amplitude: i32,
     omega: f64,
     true_sense: bool,
@@ -448,10 +448,7 @@ fn follow(
     if let Some(path) = &csv {
         output::may_write(path, existing.into())?;
     }
-    let spec = match control {
-        ControlArg::Thesis => ConfigSpec::THESIS,
-        ControlArg::Default => ConfigSpec::DEFAULT,
-    };
+    let spec = controller(control).context("--control")?;
     if !(0.0..=100.0).contains(&omega) {
         bail!("--omega {omega} is outside 0 ..= 100 rad/s");
     }

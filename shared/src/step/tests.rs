@@ -259,6 +259,40 @@ fn the_first_value_out_of_bounds_is_refused_and_the_last_inside_is_not() {
     assert_eq!(with(low), Err(ConfigError::IntegralLimits));
 }
 
+/// Ticks that a reversal of the drive waits, with an edge after each `every`th of them.
+fn waits(rest: u16, limit: u16, every: usize) -> usize {
+    let spec = ConfigSpec { reversal_rest_ticks: rest, reversal_limit_ticks: limit, ..ConfigSpec::DEFAULT };
+    let (config, mut state) = (Config::try_from(spec).unwrap(), State { direction: Direction::Cw, ..State::REST });
+    let mut position = 0;
+    step(&config, &mut state, Inputs { target: 5, target_rate: 0, position });
+    (1..1_000)
+        .find(|tick| {
+            position += i32::from(tick % every == 0);
+            step(&config, &mut state, Inputs { target: -50, target_rate: 0, position }).on_steps > 0
+        })
+        .unwrap()
+        - 1
+}
+
+/// Fails when the wait counts other than ticks with the drive off, is not begun anew by an edge, or has no end.
+#[test]
+fn a_reversal_waits_for_rest_and_no_longer_than_its_limit() {
+    assert_eq!((waits(0, 0, 3), waits(10, 100, 1_000), waits(10, 10, 1_000)), (0, 10, 10));
+    // Edges 4 ticks apart never let it rest; 11 apart they do.
+    assert_eq!((waits(10, 100, 4), waits(10, 37, 4)), (100, 37));
+    assert!(waits(10, 100, 11) < 22);
+}
+
+#[test]
+fn a_rotor_that_was_never_driven_is_driven_at_once_either_way() {
+    let spec = ConfigSpec { reversal_rest_ticks: 50, reversal_limit_ticks: 100, ..ConfigSpec::DEFAULT };
+    let config = Config::try_from(spec).unwrap();
+    for target in [-9, 9] {
+        let out = step(&config, &mut State::REST.clone(), Inputs { target, target_rate: 0, position: 0 });
+        assert!(out.on_steps > 0 && out.direction.sign() == target.signum());
+    }
+}
+
 #[test]
 fn specs_that_could_overflow_are_refused() {
     let with = |change: fn(&mut ConfigSpec)| {
@@ -279,6 +313,8 @@ fn specs_that_could_overflow_are_refused() {
     assert_eq!(with(|s| s.period_us = 10_001), Err(ConfigError::Period(10_001)));
     assert_eq!(with(|s| s.duty_steps = 1), Err(ConfigError::DutySteps(1)));
     assert_eq!(with(|s| s.duty_steps = 32_769), Err(ConfigError::DutySteps(32_769)));
+    assert_eq!(with(|s| (s.reversal_rest_ticks, s.reversal_limit_ticks) = (2, 1)), Err(ConfigError::Reversal));
+    assert_eq!(with(|s| (s.reversal_rest_ticks, s.reversal_limit_ticks) = (2, 2)), Ok(()));
     assert_eq!(with(|s| (s.period_us, s.duty_steps) = (100, 2)), Ok(()));
     assert_eq!(with(|s| (s.period_us, s.duty_steps) = (10_000, 32_768)), Ok(()));
 }
@@ -288,7 +324,7 @@ prop_compose! {
         kp in any::<i64>(), ki in any::<i64>(), kd in any::<i64>(), ff in any::<i64>(),
         shift in 0u32..40, integral_min in i32::MIN..=0, integral_max in 0..=i32::MAX,
         duty_steps in 2u16..=32_768, truncated in any::<bool>(), dead_band_counts in any::<u16>(),
-        conditional_integration in any::<bool>(),
+        conditional_integration in any::<bool>(), reversal_rest_ticks in 0u16..100, wait in 0u16..100,
     ) -> ConfigSpec {
         ConfigSpec {
             kp: I32F32::from_bits(kp >> shift.max(22)), ki_tick: I16F48::from_bits(ki >> shift.max(6)),
@@ -296,6 +332,7 @@ prop_compose! {
             integral_min, integral_max, period_us: 500, duty_steps,
             law: if truncated { DriveLaw::ActiveLowTruncated } else { DriveLaw::OnTimeRounded },
             dead_band_counts, conditional_integration,
+            reversal_rest_ticks, reversal_limit_ticks: reversal_rest_ticks + wait,
         }
     }
 }
@@ -305,18 +342,64 @@ proptest! {
     #[test]
     fn no_input_overflows(
         spec in any_spec(),
-        state in (any::<i32>(), any::<i32>(), any::<bool>()),
+        state in (any::<i32>(), any::<i32>(), any::<bool>(), any::<u16>(), any::<u16>()),
         inputs in proptest::collection::vec((any::<i32>(), any::<i32>(), any::<i32>()), 1..20),
     ) {
         if let Ok(config) = Config::try_from(spec) {
             let mut state =
-                State { integral: state.0, previous_error: state.1, direction: Direction::from_pin(state.2) };
+                State { integral: state.0, previous_error: state.1, direction: Direction::from_pin(state.2),
+                    reversal: Reversal { rest_left: state.3, limit_left: state.4, position: 0 } };
             for (target, target_rate, position) in inputs {
                 let out = step(&config, &mut state, Inputs { target, target_rate, position });
                 prop_assert!(out.on_steps <= spec.duty_steps);
                 prop_assert!((spec.integral_min..=spec.integral_max).contains(&state.integral) || out.on_steps == 0
                     || spec.conditional_integration);
             }
+        }
+    }
+
+    /// Fails when the pin changes while the drive is on, with an edge less than the rest ago, or before either wait is over; and
+    /// when a wait has no end.
+    #[test]
+    fn the_direction_changes_only_at_rest_or_after_the_limit(
+        rest in 1u16..60, wait in 0u16..60,
+        ticks in proptest::collection::vec((-300i32..300, 0u8..8), 1..400),
+    ) {
+        let spec = ConfigSpec { reversal_rest_ticks: rest, reversal_limit_ticks: rest + wait, ..ConfigSpec::DEFAULT };
+        let config = Config::try_from(spec).unwrap();
+        // A state from elsewhere: driven, the rotor still turning.
+        let driven = Reversal { rest_left: rest, limit_left: rest + wait, position: 0 };
+        let mut state = State { reversal: driven, ..State::REST };
+        let (mut pin, mut position) = (state.direction, 0i32);
+        let (mut off, mut still, mut refused) = (0u16, 0u16, 0u16);
+        for (target, moves) in ticks {
+            // An edge in an eighth of the ticks, either way.
+            if moves == 0 {
+                position += target.signum();
+                still = 0;
+            }
+            let out = step(&config, &mut state, Inputs { target: target / 10, target_rate: 0, position });
+            if out.direction != pin {
+                prop_assert!(off >= rest, "off for {off} ticks of {rest}");
+                prop_assert!(still >= rest || off >= rest + wait, "{still} still, {off} off");
+            }
+            (pin, off, still) = if out.on_steps > 0 { (out.direction, 0, 0) } else { (pin, off + 1, still + 1) };
+            refused = if out.on_steps == 0 && out.u.unsigned_abs() > 1 << 16 { refused + 1 } else { 0 };
+            prop_assert!(refused <= rest + wait, "a wait without end");
+        }
+    }
+
+    /// The guard changes nothing but when a reversal comes: until the first, both controllers are one.
+    #[test]
+    fn the_guard_changes_nothing_until_a_reversal(targets in proptest::collection::vec(1i32..400, 1..200)) {
+        let config = |rest| {
+            let spec = ConfigSpec { reversal_rest_ticks: rest, reversal_limit_ticks: 2 * rest, ..ConfigSpec::DEFAULT };
+            Config::try_from(spec).unwrap()
+        };
+        let (mut a, mut b) = (State { direction: Direction::Cw, ..State::REST }, State { direction: Direction::Cw, ..State::REST });
+        for target in targets {
+            let inputs = Inputs { target, target_rate: 0, position: 0 };
+            prop_assert_eq!(step(&config(0), &mut a, inputs), step(&config(40), &mut b, inputs));
         }
     }
 

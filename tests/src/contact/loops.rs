@@ -110,6 +110,8 @@ impl Law {
             law: if self.thesis { DriveLaw::ActiveLowTruncated } else { DriveLaw::OnTimeRounded },
             dead_band_counts: 0,
             conditional_integration: false,
+            reversal_rest_ticks: 0,
+            reversal_limit_ticks: 0,
         };
         // The thesis's constants are exact as named, and not quite their decimals.
         let spec = if self.thesis && fault.gains == [1.0; 4] { named } else { spec };

@@ -129,6 +129,8 @@ impl Law {
             law: DriveLaw::OnTimeRounded,
             dead_band_counts: 0,
             conditional_integration: false,
+            reversal_rest_ticks: 0,
+            reversal_limit_ticks: 0,
         }
     }
 }

@@ -76,9 +76,11 @@ fn any_control() -> impl Strategy<Value = ConfigSpec> {
     let limit = (0u32..24).prop_map(|shift| i32::MAX >> shift);
     let period_us = prop_oneof![Just(500u32), 100u32..=10_000];
     let duty_steps = prop_oneof![Just(32u16), Just(1_024), 2u16..=32_768];
-    let rest = (any::<bool>(), 0u16..10, any::<bool>());
+    let reversal = prop_oneof![Just(0u16), 0u16..200];
+    let rest = (any::<bool>(), 0u16..10, any::<bool>(), reversal);
     let spec = (gain.clone(), small, gain.clone(), gain, limit.clone(), limit, period_us, duty_steps, rest);
-    spec.prop_map(|(kp, ki, kd, ff, min, max, period_us, duty_steps, (truncated, dead_band_counts, conditional))| {
+    spec.prop_map(|(kp, ki, kd, ff, min, max, period_us, duty_steps, rest)| {
+        let (truncated, dead_band_counts, conditional, reversal) = rest;
         ConfigSpec {
             kp: I32F32::from_bits(kp),
             ki_tick: I16F48::from_bits(ki),
@@ -91,6 +93,8 @@ fn any_control() -> impl Strategy<Value = ConfigSpec> {
             law: if truncated { DriveLaw::ActiveLowTruncated } else { DriveLaw::OnTimeRounded },
             dead_band_counts,
             conditional_integration: conditional,
+            reversal_rest_ticks: reversal,
+            reversal_limit_ticks: 2 * reversal,
         }
     })
     .prop_filter("accepted", |spec| Config::try_from(*spec).is_ok())

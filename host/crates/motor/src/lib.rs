@@ -21,7 +21,8 @@
 //! From the bottom up: [`motor`] reads motor files into [`parameters`]; [`carrier`] and [`averaged`] integrate them;
 //! [`plant`] is the seam behind which [`motor_plant`] (either model, with the [`effects`] that live in a motor) and
 //! [`inertial`] (an ordinary motor) look alike; [`actuator`] is the PWM in front of a plant, [`sensor`] the encoder behind
-//! it, and [`simulate`] the three together; [`closed_loop`] puts the control step round them, and [`tracking`] says how well it followed. `docs/model.md` has the equations, what was corrected, and how far the models are apart.
+//! it, and [`simulate`] the three together; [`closed_loop`] puts the control step round them, and [`tracking`] says how well it followed;
+//! [`robust`] asks that of motors that differ. `docs/model.md` has the equations, what was corrected, and how far the models are apart.
 
 pub mod actuator;
 mod arccosine;
@@ -42,6 +43,7 @@ pub mod motor;
 pub mod motor_plant;
 pub mod parameters;
 pub mod plant;
+pub mod robust;
 pub mod sensor;
 pub mod simulate;
 mod stretches;

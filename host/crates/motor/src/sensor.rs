@@ -37,7 +37,7 @@ impl Encoder {
             interval: 0,
             shaft_rad: 0.0,
         };
-        encoder.interval = encoder.interval_of(encoder.apparent(0.0));
+        encoder.interval = encoder.interval_at(0.0);
         encoder
     }
 
@@ -49,6 +49,11 @@ impl Encoder {
     /// Edges passed since the start, in the positive sense.
     pub fn interval(&self) -> i64 {
         self.interval
+    }
+
+    /// Edges passed, in the positive sense, when the shaft stands at an angle (rad).
+    pub fn interval_at(&self, shaft_rad: f64) -> i64 {
+        self.interval_of(self.apparent(shaft_rad))
     }
 
     /// The angle the disc shows for a shaft angle (rad).

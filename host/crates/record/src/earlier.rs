@@ -1,12 +1,16 @@
-//! Frames of recordings made with earlier protocol versions. The messages have only gained variants since, but for two things: in
-//! version 1 what the host said had no session and no pass, and until version 2 a configuration did not say how slow a motor may be.
+//! Frames of recordings made with earlier protocol versions. The messages have only gained variants since, but for three things: in
+//! version 1 what the host said had no session and no pass, until version 2 a configuration did not say how slow a motor may be, and
+//! until version 3 no controller waited with a reversal.
 
+use fixed::types::{I16F48, I32F32};
 use serde::Deserialize;
+use twum_shared::Direction;
 use twum_shared::encoder::CountSign;
 use twum_shared::frame::{self, FrameError, Header, Opened, PROTOCOL_VERSION};
+use twum_shared::message::{BLOCK_SAMPLES, ControlBlock, ControlSample};
 use twum_shared::message::{CaptureMode, Configuration, DeviceMessage, HostMessage, Pass, SpeedRun, TrackRun};
 use twum_shared::safety::Limits;
-use twum_shared::step::ConfigSpec;
+use twum_shared::step::{ConfigSpec, DriveLaw, State};
 
 /// A message that recordings hold.
 pub(super) trait Recorded: frame::Message {
@@ -15,10 +19,14 @@ pub(super) trait Recorded: frame::Message {
 
     /// The message of a frame of version 2.
     fn from_version_2(frame: &Opened<'_>) -> Option<Self>;
+
+    /// The message of a frame of version 3.
+    fn from_version_3(frame: &Opened<'_>) -> Option<Self>;
 }
 
-/// Place of [`DeviceMessage::Configured`] and of [`HostMessage::Configure`] among their variants.
+/// Place of [`DeviceMessage::Configured`], of [`DeviceMessage::Control`] and of [`HostMessage::Configure`] among their variants.
 const CONFIGURED: u8 = 3;
+const CONTROL: u8 = 9;
 const CONFIGURE: u8 = 2;
 
 impl Recorded for DeviceMessage {
@@ -29,6 +37,14 @@ impl Recorded for DeviceMessage {
     fn from_version_2(frame: &Opened<'_>) -> Option<Self> {
         match frame.body.first() {
             Some(&CONFIGURED) => frame.message().map(|(_, old): (u8, Configuration2)| Self::Configured(old.into())),
+            _ => Self::from_version_3(frame),
+        }
+    }
+
+    fn from_version_3(frame: &Opened<'_>) -> Option<Self> {
+        match frame.body.first() {
+            Some(&CONFIGURED) => frame.message().map(|(_, old): (u8, Configuration3)| Self::Configured(old.into())),
+            Some(&CONTROL) => frame.message().map(|(_, old): (u8, ControlBlock3)| Self::Control(old.into())),
             _ => frame.message(),
         }
     }
@@ -42,6 +58,13 @@ impl Recorded for HostMessage {
     fn from_version_2(frame: &Opened<'_>) -> Option<Self> {
         match frame.body.first() {
             Some(&CONFIGURE) => frame.message().map(|(_, old): (u8, Configuration2)| Self::Configure(old.into())),
+            _ => Self::from_version_3(frame),
+        }
+    }
+
+    fn from_version_3(frame: &Opened<'_>) -> Option<Self> {
+        match frame.body.first() {
+            Some(&CONFIGURE) => frame.message().map(|(_, old): (u8, Configuration3)| Self::Configure(old.into())),
             _ => frame.message(),
         }
     }
@@ -59,6 +82,7 @@ pub(super) fn decode<M: Recorded>(block: &mut [u8]) -> Result<(Header, M), Frame
     let message = match opened.version {
         1 => M::from_version_1(&opened),
         2 => M::from_version_2(&opened),
+        3 => M::from_version_3(&opened),
         PROTOCOL_VERSION => opened.message(),
         other => return Err(FrameError::Version(other)),
     };
@@ -103,7 +127,7 @@ impl From<HostMessage1> for HostMessage {
 /// A configuration until version 2.
 #[derive(Deserialize)]
 struct Configuration2 {
-    control: ConfigSpec,
+    control: ConfigSpec3,
     limits: Limits2,
     count_sign: CountSign,
     edges_per_rev: u16,
@@ -113,7 +137,85 @@ struct Configuration2 {
 impl From<Configuration2> for Configuration {
     fn from(old: Configuration2) -> Self {
         let Configuration2 { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
-        Self { control, limits: limits.into(), count_sign, edges_per_rev, pwm_hz }
+        Self { control: control.into(), limits: limits.into(), count_sign, edges_per_rev, pwm_hz }
+    }
+}
+
+/// A configuration of version 3.
+#[derive(Deserialize)]
+struct Configuration3 {
+    control: ConfigSpec3,
+    limits: Limits,
+    count_sign: CountSign,
+    edges_per_rev: u16,
+    pwm_hz: u16,
+}
+
+impl From<Configuration3> for Configuration {
+    fn from(old: Configuration3) -> Self {
+        let Configuration3 { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
+        Self { control: control.into(), limits, count_sign, edges_per_rev, pwm_hz }
+    }
+}
+
+/// A controller until version 3: it reversed at once.
+#[derive(Deserialize)]
+struct ConfigSpec3 {
+    kp: I32F32,
+    ki_tick: I16F48,
+    kd_tick: I32F32,
+    feed_forward: I32F32,
+    integral_min: i32,
+    integral_max: i32,
+    period_us: u32,
+    duty_steps: u16,
+    law: DriveLaw,
+    dead_band_counts: u16,
+    conditional_integration: bool,
+}
+
+impl From<ConfigSpec3> for ConfigSpec {
+    fn from(old: ConfigSpec3) -> Self {
+        Self {
+            kp: old.kp,
+            ki_tick: old.ki_tick,
+            kd_tick: old.kd_tick,
+            feed_forward: old.feed_forward,
+            integral_min: old.integral_min,
+            integral_max: old.integral_max,
+            period_us: old.period_us,
+            duty_steps: old.duty_steps,
+            law: old.law,
+            dead_band_counts: old.dead_band_counts,
+            conditional_integration: old.conditional_integration,
+            reversal_rest_ticks: 0,
+            reversal_limit_ticks: 0,
+        }
+    }
+}
+
+/// Control ticks until version 3.
+#[derive(Deserialize)]
+struct ControlBlock3 {
+    first_tick: u64,
+    first_us: u64,
+    state: State3,
+    samples: heapless::Vec<ControlSample, BLOCK_SAMPLES>,
+}
+
+#[derive(Deserialize)]
+struct State3 {
+    integral: i32,
+    previous_error: i32,
+    direction: Direction,
+}
+
+impl From<ControlBlock3> for ControlBlock {
+    fn from(old: ControlBlock3) -> Self {
+        let ControlBlock3 { first_tick, first_us, state, samples } = old;
+        let State3 { integral, previous_error, direction } = state;
+        let state = State { integral, previous_error, direction, ..State::REST };
+        Self { first_tick, first_us, state, samples }
     }
 }
 
