@@ -4,6 +4,7 @@ use super::existing::ExistingArgs;
 use super::flavour::FlavourArgs;
 use super::output::{print_table, stage};
 use super::robust;
+use super::units;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use serde::Serialize;
@@ -18,7 +19,6 @@ use twum_host::model::motor_plant::{History, MotorPlant, Solver};
 use twum_host::model::study::{Setup, Speed};
 use twum_host::output::{self, Existing, Output};
 use twum_host::report::figure::{Figure, Panel};
-use twum_shared::reference::Reference;
 use twum_shared::step::Config;
 
 /// Arguments of `twum model`.
@@ -449,11 +449,7 @@ fn follow(
         output::may_write(path, existing.into())?;
     }
     let spec = controller(control).context("--control")?;
-    if !(0.0..=100.0).contains(&omega) {
-        bail!("--omega {omega} is outside 0 ..= 100 rad/s");
-    }
-    let reference = Reference::Sine { amplitude, omega_urad_s: (omega * 1e6).round() as u32 };
-    reference.validate()?;
+    let reference = units::sine(amplitude, omega).context("--amplitude or --omega")?;
     let program = LoopProgram {
         config: Config::try_from(spec)?,
         reference,

@@ -9,6 +9,7 @@ use nalgebra::{DMatrix, DVector};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use twum_fit::quantile::{INTERVAL_95, quantiles};
 
 /// Windows in one block of the null's sign flips: longer than the memory of the sampling noise (two windows), shorter
 /// than any effect.
@@ -120,9 +121,8 @@ impl HeldOut {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let tested = self.tested();
         let n = tested.len();
-        let mut gains: Vec<f64> =
-            (0..1000).map(|_| gain_of((0..n).map(|_| &self.plain[tested[rng.random_range(0..n)]]))).collect();
-        percentile_interval(&mut gains)
+        let gains = (0..1000).map(|_| gain_of((0..n).map(|_| &self.plain[tested[rng.random_range(0..n)]]))).collect();
+        quantiles(gains, INTERVAL_95)
     }
 
     /// Root mean square with (1) or without (0) the candidate, in rpm.
@@ -136,7 +136,7 @@ impl HeldOut {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let tested = self.tested();
         let n = tested.len();
-        let mut leads: Vec<f64> = (0..1000)
+        let leads = (0..1000)
             .map(|_| {
                 (0..n)
                     .map(|_| {
@@ -146,7 +146,7 @@ impl HeldOut {
                     .sum()
             })
             .collect();
-        percentile_interval(&mut leads)
+        quantiles(leads, INTERVAL_95)
     }
 }
 
@@ -157,13 +157,6 @@ fn gain_of<'a>(pairs: impl Iterator<Item = &'a [f64; 2]>) -> f64 {
         with += p[1];
     }
     if without > 0.0 { 1.0 - (with.max(0.0) / without).sqrt() } else { 0.0 }
-}
-
-/// 2.5 and 97.5 percentiles.
-fn percentile_interval(values: &mut [f64]) -> [f64; 2] {
-    values.sort_by(f64::total_cmp);
-    let at = |q: f64| values[((values.len() - 1) as f64 * q).round() as usize];
-    [at(0.025), at(0.975)]
 }
 
 /// Runs in groups that are held out together: every fold takes one run of each kind in turn, in a seeded order.

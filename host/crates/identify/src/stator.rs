@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use twum_fit::quantile::{NORMAL_95, student_95};
+use twum_fit::quantile::{NORMAL_95, quantiles, student_95};
 
 /// Force factor of the 30 mm PCBMotor in the thesis (N/V, section A.4), found there by trial.
 pub const THESIS_FORCE_FACTOR: f64 = 0.5439;
@@ -368,16 +368,14 @@ fn bootstrap(sweep: &Sweep, fit: &Fit, options: &Options) -> Vec<Circuit> {
 }
 
 fn percentiles(replicates: &[Circuit], extra: f64, of: impl Fn(&Circuit) -> f64) -> Option<[f64; 2]> {
-    let mut values: Vec<f64> = replicates.iter().map(of).filter(|v| v.is_finite()).collect();
+    let values: Vec<f64> = replicates.iter().map(of).filter(|v| v.is_finite()).collect();
     if values.len() < 20 {
         return None;
     }
-    values.sort_by(f64::total_cmp);
-    let at = |share: f64| values[((values.len() - 1) as f64 * share).round() as usize];
-    let middle = at(0.5);
+    let [low, middle, high] = quantiles(values, [0.025, 0.5, 0.975]);
     // A further independent uncertainty adds in quadrature to each half.
     let widen = |end: f64| middle * ((end / middle).ln().hypot(NORMAL_95 * extra) * (end - middle).signum()).exp();
-    Some(if extra > 0.0 { [widen(at(0.025)), widen(at(0.975))] } else { [at(0.025), at(0.975)] })
+    Some(if extra > 0.0 { [widen(low), widen(high)] } else { [low, high] })
 }
 
 /// A sweep made from a known circuit, without noise; the base of synthetic studies and of the simulated bench.
