@@ -1,8 +1,8 @@
 //! `twum model robust`.
 
-use super::existing::ExistingArgs;
-use super::output::{print_table, stage};
-use super::units;
+use super::super::existing::ExistingArgs;
+use super::super::output::{print_table, stage};
+use super::super::units;
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
