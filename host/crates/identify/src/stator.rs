@@ -213,22 +213,8 @@ pub fn identify(sweep: &Sweep, options: &Options) -> Option<Identification> {
         ci95.insert("cd_f", interval(None, &WHOLE[0]));
     }
     ci95.insert("rd_ohm", rd_interval(&fit));
-    let mut modes: Vec<ModeReport> = circuit
-        .modes
-        .iter()
-        .enumerate()
-        .map(|(i, m)| ModeReport {
-            main: main == Some(i),
-            fs_hz: m.fs_hz,
-            fp_hz: m.fp_hz(circuit.cd_f),
-            c_f: m.c_f,
-            l_h: m.l_h(),
-            r_ohm: m.r_ohm(),
-            q: m.q,
-            ci95: MODAL.iter().map(|q| (q.name, interval(Some(i), q))).collect(),
-        })
-        .collect();
-    modes.sort_by(|a, b| a.fs_hz.total_cmp(&b.fs_hz));
+    let of_mode = |i: usize| MODAL.iter().map(|q| (q.name, interval(Some(i), q))).collect();
+    let modes = mode_reports(&circuit, main, &of_mode);
     let read_off =
         main.map(|i| circuit.modes[i]).and_then(|m| thesis::estimate(&thesis::admittances(sweep), m.fs_hz, m.q));
     let get = |name: &str| values.get(name).copied();
@@ -268,6 +254,23 @@ pub fn identify(sweep: &Sweep, options: &Options) -> Option<Identification> {
         notes: notes(sweep, &fit, verdict, options),
     };
     Some(Identification { report, fit, ellipse: read_off.map(|r| r.1) })
+}
+
+/// Every mode with its intervals, by frequency.
+fn mode_reports(circuit: &Circuit, main: Option<usize>, intervals: &dyn Fn(usize) -> Intervals) -> Vec<ModeReport> {
+    let of = |(i, m): (usize, &Mode)| ModeReport {
+        main: main == Some(i),
+        fs_hz: m.fs_hz,
+        fp_hz: m.fp_hz(circuit.cd_f),
+        c_f: m.c_f,
+        l_h: m.l_h(),
+        r_ohm: m.r_ohm(),
+        q: m.q,
+        ci95: intervals(i),
+    };
+    let mut modes: Vec<ModeReport> = circuit.modes.iter().enumerate().map(of).collect();
+    modes.sort_by(|a, b| a.fs_hz.total_cmp(&b.fs_hz));
+    modes
 }
 
 const NO_MODE: Mode = Mode { fs_hz: f64::NAN, c_f: f64::NAN, q: f64::NAN };
