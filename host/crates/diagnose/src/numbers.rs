@@ -6,6 +6,7 @@ use super::held_out::Scorer;
 use super::library::{Effect, Phased};
 use super::rotor::P;
 use super::set::{Part, Set};
+use twum_fit::quantile::{NORMAL_95, student_95};
 
 /// Share of a number by which the library's form of an effect and the real one may disagree on it.
 const FORM: f64 = 0.04;
@@ -40,7 +41,7 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
     let (beta, covariance) = grams.fit_all(&columns);
     let first = free - set.parts.iter().map(|p| p.free.len()).sum::<usize>();
     let before: usize = set.parts.iter().take_while(|p| p.effect != part.effect).map(|p| p.free.len()).sum();
-    let quantile = student_975(scorer.keys.len().saturating_sub(1).max(1));
+    let quantile = student_95(scorer.keys.len().saturating_sub(1) as f64);
     let form = &effect.forms[part.form];
     effect
         .reported
@@ -54,7 +55,7 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
                 let at = first + before + k;
                 let value = (now + beta[at].clamp(-0.3, 0.3) * f.scale).clamp(f.bounds.0, f.bounds.1);
                 let spread = covariance[(at, at)].max(0.0).sqrt() * f.scale;
-                let half = (quantile * spread).hypot(1.96 * FORM * value);
+                let half = (quantile * spread).hypot(NORMAL_95 * FORM * value);
                 let interval = [(value - half).max(f.bounds.0.min(0.0)), (value + half).min(f.bounds.1)];
                 return Some(Estimate { name, value, interval, unit });
             }
@@ -78,7 +79,7 @@ fn amplitude(scorer: &Scorer, set: &Set, pair: Phased, power: f64) -> Estimate {
     } else {
         0.0
     };
-    let half = 1.96 * spread.hypot(FORM * value);
+    let half = NORMAL_95 * spread.hypot(FORM * value);
     let (name, unit, scale) = match pair {
         Phased::Runout(h) => (RUNOUT[h], "1", 1.0),
         Phased::Eccentricity(h) => (ECCENTRICITY[h], "rad", 1.0),
@@ -86,10 +87,4 @@ fn amplitude(scorer: &Scorer, set: &Set, pair: Phased, power: f64) -> Estimate {
     };
     let interval = [(value - half).max(0.0) * scale, (value + half) * scale];
     Estimate { name: name.to_owned(), value: value * scale, interval, unit: unit.to_owned() }
-}
-
-/// 97.5 % quantile of Student's t.
-fn student_975(degrees: usize) -> f64 {
-    use statrs::distribution::{ContinuousCDF, StudentsT};
-    StudentsT::new(0.0, 1.0, degrees as f64).map_or(1.96, |t| t.inverse_cdf(0.975))
 }
