@@ -13,14 +13,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = std::env::args().nth(1).ok_or("usage: velocity_speed FILE (one 0 or 1 a line)")?;
     let levels: Vec<bool> = std::fs::read_to_string(path)?.lines().map(|line| line == "1").collect();
     let grid: Vec<f64> = (0..levels.len()).map(|i| i as f64 * PERIOD_US).collect();
-    let thesis_s = best(|| Ok(thesis::estimate(0.0, PERIOD_US, &levels, 400)?.raw_rpm))?;
+    let fit_s = best(|| Ok(thesis::local_fit(0.0, PERIOD_US, &levels, 400)?.raw_rpm))?;
+    let thesis_s = best(|| Ok(thesis::estimate(0.0, PERIOD_US, &levels, 400)?.fit.raw_rpm))?;
     let smoother_s = best(|| {
         let directions = Directions::constant(Direction::Cw);
         Ok(smooth(&EdgeTrain::from_levels(0.0, PERIOD_US, &levels, 400, &directions)?, &grid)?.speed_rpm)
     })?;
     println!(
-        "{{\"thesis_s\": {}, \"thesis_rpm\": {}, \"smoother_s\": {}, \"smoother_rpm\": {}}}",
-        thesis_s.0, thesis_s.1, smoother_s.0, smoother_s.1
+        "{{\"fit_s\": {}, \"thesis_s\": {}, \"thesis_rpm\": {}, \"smoother_s\": {}, \"smoother_rpm\": {}}}",
+        fit_s.0, thesis_s.0, thesis_s.1, smoother_s.0, smoother_s.1
     );
     Ok(())
 }

@@ -255,15 +255,15 @@ fn write_steps(out: &mut dyn Write, runs: &[&Run], options: &Options) -> Result<
     writeln!(out, "run,time_us,spline_rad,position_rad,rpm_raw,rpm_butterworth,rpm_moving_average,rpm_median")?;
     for run in runs {
         let s = thesis_steps(run, options).with_context(|| format!("run {}", run.id))?;
-        for i in 0..s.time_us.len() {
+        for i in 0..s.fit.time_us.len() {
             writeln!(
                 out,
                 "{},{:.3},{:.8},{:.8},{:.6},{:.6},{:.6},{:.6}",
                 run.id,
-                s.time_us[i],
-                s.spline_rad[i],
-                s.position_rad[i],
-                s.raw_rpm[i],
+                s.fit.time_us[i],
+                s.fit.spline_rad[i],
+                s.fit.position_rad[i],
+                s.fit.raw_rpm[i],
                 s.butterworth_rpm[i],
                 s.moving_average_rpm[i],
                 s.median_rpm[i]

@@ -2,9 +2,10 @@
 
 use super::edges::{Directions, EdgeTrain};
 use super::smoother::smooth;
-use super::thesis::{self, ThesisEstimate};
+use super::thesis::{self, LocalFit, ThesisEstimate};
 use super::window::{self, Order};
 use super::{RAD_S_TO_RPM, SignalError};
+use std::borrow::Cow;
 use twum_record::convert::{most_instants, to_levels};
 use twum_record::measurement::{Direction, DriveResponse, Run, RunData, RunKind};
 
@@ -134,18 +135,23 @@ pub fn motion(run: &Run, options: &Options) -> Result<Motion, SignalError> {
 /// # Errors
 /// [`SignalError::NoEncoder`] when the run holds no encoder line, and as [`thesis::estimate`].
 pub fn thesis_steps(run: &Run, options: &Options) -> Result<ThesisEstimate, SignalError> {
-    let levels = match &run.data {
+    let (start_us, period_us, levels) = thesis_levels(run, options)?;
+    thesis::estimate(start_us, period_us, &levels, options.edges_per_rev)
+}
+
+/// Start and period (µs) of a run's levels, sampled as the thesis did where its edges have times.
+fn thesis_levels<'a>(run: &'a Run, options: &Options) -> Result<(f64, f64, Cow<'a, [bool]>), SignalError> {
+    let sampled = match &run.data {
+        RunData::Levels { start_us, period_us, levels } => return Ok((*start_us, *period_us, levels.into())),
         data @ RunData::Edges { .. } => {
             let period_us = options.period_us.unwrap_or(THESIS_PERIOD_US);
             super::check_positive("the period of the estimates (µs)", period_us)?;
             to_levels(data.clone(), period_us)?
         }
-        data => data.clone(),
+        _ => return Err(SignalError::NoEncoder),
     };
-    match levels {
-        RunData::Levels { start_us, period_us, levels } => {
-            thesis::estimate(start_us, period_us, &levels, options.edges_per_rev)
-        }
+    match sampled {
+        RunData::Levels { start_us, period_us, levels } => Ok((start_us, period_us, levels.into())),
         _ => Err(SignalError::NoEncoder),
     }
 }
@@ -212,16 +218,21 @@ fn smoothed(run: &Run, options: &Options) -> Result<Motion, SignalError> {
 
 fn of_thesis(run: &Run, options: &Options, step: Step) -> Result<Motion, SignalError> {
     let sign = run.direction.unwrap_or(Direction::Cw).sign();
-    let steps = thesis_steps(run, options)?;
-    let rpm = match step {
-        Step::LocalCubic => steps.raw_rpm,
-        Step::Butterworth => steps.butterworth_rpm,
-        Step::MovingAverage => steps.moving_average_rpm,
-        Step::Median => steps.median_rpm,
+    let filtered = |of: fn(ThesisEstimate) -> (LocalFit, Vec<f64>)| thesis_steps(run, options).map(of);
+    let (fit, rpm) = match step {
+        Step::LocalCubic => {
+            let (start_us, period_us, levels) = thesis_levels(run, options)?;
+            let mut fit = thesis::local_fit(start_us, period_us, &levels, options.edges_per_rev)?;
+            let raw = std::mem::take(&mut fit.raw_rpm);
+            (fit, raw)
+        }
+        Step::Butterworth => filtered(|steps| (steps.fit, steps.butterworth_rpm))?,
+        Step::MovingAverage => filtered(|steps| (steps.fit, steps.moving_average_rpm))?,
+        Step::Median => filtered(|steps| (steps.fit, steps.median_rpm))?,
     };
     Ok(Motion {
-        time_us: steps.time_us,
-        position_rad: steps.position_rad.iter().map(|p| sign * p).collect(),
+        time_us: fit.time_us,
+        position_rad: fit.position_rad.iter().map(|p| sign * p).collect(),
         speed_rpm: rpm.iter().map(|v| sign * v).collect(),
         speed_sd_rpm: None,
         edges: edges(run, options.edges_per_rev, options.edge_uncertainty_us)?.edges.len(),

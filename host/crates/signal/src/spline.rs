@@ -36,21 +36,32 @@ impl Spline {
     pub fn values(&self, at: impl IntoIterator<Item = f64>) -> Vec<f64> {
         let last = self.x.len() - 2;
         let mut i = 0;
+        let mut piece = self.piece(i);
         at.into_iter()
             .map(|t| {
+                let before = i;
                 if t < self.x[i] {
                     i = self.x.partition_point(|x| *x <= t).saturating_sub(1).min(last);
                 }
                 while i < last && t >= self.x[i + 1] {
                     i += 1;
                 }
-                let (h, u) = (self.x[i + 1] - self.x[i], t - self.x[i]);
-                let d = (self.y[i + 1] - self.y[i]) / h;
-                let c2 = (3.0 * d - 2.0 * self.slope[i] - self.slope[i + 1]) / h;
-                let c3 = (self.slope[i] + self.slope[i + 1] - 2.0 * d) / (h * h);
-                self.y[i] + u * (self.slope[i] + u * (c2 + u * c3))
+                // Divisions are what a value costs: of the many times in a piece the first alone makes them.
+                if i != before {
+                    piece = self.piece(i);
+                }
+                let u = t - self.x[i];
+                self.y[i] + u * (self.slope[i] + u * (piece[0] + u * piece[1]))
             })
             .collect()
+    }
+
+    /// Coefficients of the square and the cube between points `i` and `i + 1`.
+    fn piece(&self, i: usize) -> [f64; 2] {
+        let h = self.x[i + 1] - self.x[i];
+        let d = (self.y[i + 1] - self.y[i]) / h;
+        let square = (3.0 * d - 2.0 * self.slope[i] - self.slope[i + 1]) / h;
+        [square, (self.slope[i] + self.slope[i + 1] - 2.0 * d) / (h * h)]
     }
 }
 

@@ -22,9 +22,9 @@ pub const MEDIAN_WINDOW: usize = 13;
 
 const HALF: usize = (WINDOW - 1) / 2;
 
-/// What each step of the thesis's method makes of one record.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ThesisEstimate {
+/// The thesis's method up to the local cubic: position and speed before any filter.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LocalFit {
     /// Time of each sample, in µs.
     pub time_us: Vec<f64>,
     /// The spline through the event midpoints, in rad; [`WINDOW`] / 2 samples longer than the rest.
@@ -33,6 +33,13 @@ pub struct ThesisEstimate {
     pub position_rad: Vec<f64>,
     /// The local cubic's derivative, in rpm.
     pub raw_rpm: Vec<f64>,
+}
+
+/// What each step of the thesis's method makes of one record.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ThesisEstimate {
+    /// Before the filters.
+    pub fit: LocalFit,
     /// The speed after the Butterworth filter, in rpm.
     pub butterworth_rpm: Vec<f64>,
     /// The speed after the moving average, in rpm.
@@ -43,17 +50,37 @@ pub struct ThesisEstimate {
     pub mean_rpm: f64,
 }
 
-/// Applies the thesis's method to an encoder line sampled every `period_us` from `start_us`.
+/// Applies the thesis's method, filters and all, to an encoder line sampled every `period_us` from `start_us`.
 ///
 /// # Errors
-/// [`SignalError::TooShort`] when the last edge comes before the 10th sample: the listing fails there (no edge at all is
-/// an estimate of no samples and mean speed 0, as in the listing).
+/// As [`local_fit`].
 pub fn estimate(
     start_us: f64,
     period_us: f64,
     levels: &[bool],
     edges_per_rev: u32,
 ) -> Result<ThesisEstimate, SignalError> {
+    let fit = local_fit(start_us, period_us, levels, edges_per_rev)?;
+    if fit.raw_rpm.is_empty() {
+        return Ok(ThesisEstimate::default());
+    }
+    let filter = Butterworth::low_pass(CUTOFF_HZ, 1e6 / period_us)?;
+    let moving_average_rpm = moving_average(&fit.raw_rpm, AVERAGE_WINDOW);
+    Ok(ThesisEstimate {
+        butterworth_rpm: filter.forwards_and_backwards(&fit.raw_rpm)?,
+        mean_rpm: moving_average_rpm.iter().sum::<f64>() / moving_average_rpm.len() as f64,
+        moving_average_rpm,
+        median_rpm: median(&fit.raw_rpm, MEDIAN_WINDOW),
+        fit,
+    })
+}
+
+/// Applies the thesis's method up to its filters.
+///
+/// # Errors
+/// [`SignalError::TooShort`] when the last edge comes before the 10th sample: the listing fails there (no edge at all is
+/// an estimate of no samples and mean speed 0, as in the listing).
+pub fn local_fit(start_us: f64, period_us: f64, levels: &[bool], edges_per_rev: u32) -> Result<LocalFit, SignalError> {
     super::check_positive("the sampling period (µs)", period_us)?;
     super::check_positive("edges a revolution", f64::from(edges_per_rev))?;
     let period_s = period_us * 1e-6;
@@ -66,7 +93,7 @@ pub fn estimate(
         level_off = i + 1;
     }
     if level_off == 0 {
-        return Ok(ThesisEstimate::empty());
+        return Ok(LocalFit::default());
     }
     if level_off < HALF {
         return Err(SignalError::TooShort {
@@ -85,33 +112,8 @@ pub fn estimate(
         position_rad.push(position);
         raw_rpm.push(speed * RAD_S_TO_RPM);
     });
-    let filter = Butterworth::low_pass(CUTOFF_HZ, 1.0 / period_s)?;
-    let moving_average_rpm = moving_average(&raw_rpm, AVERAGE_WINDOW);
-    Ok(ThesisEstimate {
-        time_us: (0..raw_rpm.len()).map(|i| start_us + i as f64 * period_us).collect(),
-        spline_rad,
-        position_rad,
-        butterworth_rpm: filter.forwards_and_backwards(&raw_rpm)?,
-        mean_rpm: moving_average_rpm.iter().sum::<f64>() / moving_average_rpm.len() as f64,
-        moving_average_rpm,
-        median_rpm: median(&raw_rpm, MEDIAN_WINDOW),
-        raw_rpm,
-    })
-}
-
-impl ThesisEstimate {
-    fn empty() -> Self {
-        Self {
-            time_us: Vec::new(),
-            spline_rad: Vec::new(),
-            position_rad: Vec::new(),
-            raw_rpm: Vec::new(),
-            butterworth_rpm: Vec::new(),
-            moving_average_rpm: Vec::new(),
-            median_rpm: Vec::new(),
-            mean_rpm: 0.0,
-        }
-    }
+    let time_us = (0..raw_rpm.len()).map(|i| start_us + i as f64 * period_us).collect();
+    Ok(LocalFit { time_us, spline_rad, position_rad, raw_rpm })
 }
 
 /// The least-squares cubic over an odd number of equally spaced samples, as weights of value and derivative at the middle
@@ -212,9 +214,9 @@ mod tests {
         let levels: Vec<bool> = fixture.levels.chars().map(|c| c == '1').collect();
         let got = estimate(0.0, 1000.0, &levels, 400).unwrap();
         for (name, got, want) in [
-            ("spline", &got.spline_rad, &fixture.spline_rad),
-            ("position", &got.position_rad, &fixture.position_rad),
-            ("raw", &got.raw_rpm, &fixture.raw_rpm),
+            ("spline", &got.fit.spline_rad, &fixture.spline_rad),
+            ("position", &got.fit.position_rad, &fixture.position_rad),
+            ("raw", &got.fit.raw_rpm, &fixture.raw_rpm),
             ("butterworth", &got.butterworth_rpm, &fixture.butterworth_rpm),
             ("moving average", &got.moving_average_rpm, &fixture.moving_average_rpm),
             ("median", &got.median_rpm, &fixture.median_rpm),
@@ -227,8 +229,8 @@ mod tests {
 
     #[test]
     fn a_motor_that_stands_still_has_speed_zero() {
-        assert_eq!(estimate(0.0, 1000.0, &[true; 100], 400).unwrap(), ThesisEstimate::empty());
-        assert_eq!(estimate(0.0, 1000.0, &[], 400).unwrap(), ThesisEstimate::empty());
+        assert_eq!(estimate(0.0, 1000.0, &[true; 100], 400).unwrap(), ThesisEstimate::default());
+        assert_eq!(estimate(0.0, 1000.0, &[], 400).unwrap(), ThesisEstimate::default());
     }
 
     #[test]
