@@ -112,7 +112,7 @@ fn what_listens_in_the_program_is_known() {
     for part in std::fs::read_dir(host.join("crates")).unwrap().flatten() {
         visit(&part.path().join("src"), &mut found);
     }
-    // The simulated instruments, the door of the live server, a unit test of it (which names its address to its library), and one of an
+    // The server of the bench, the simulated instruments, the door of the live server, a unit test of it (which names its address to its library), and one of an
     // instrument that never stops talking.
     found.sort();
     // Those by the name of a file are the stop socket in the user's own runtime directory: nothing on a network.
@@ -120,7 +120,9 @@ fn what_listens_in_the_program_is_known() {
         "UnixListener::bind(path)?",
         "let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;",
         "let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;",
+        "let listener = TcpListener::bind(&*addresses).map_err(failed)?;",
         "let listener = match UnixListener::bind(path) {",
+        "let listener = tokio::net::TcpListener::from_std(listener).map_err(ServeError::System)?;",
         "let server = std::net::TcpListener::bind(\"127.0.0.1:0\").unwrap();",
         "let taken = std::net::TcpListener::bind((LOOPBACK, 0)).unwrap();",
     ];

@@ -62,7 +62,7 @@ function showState() {
 function showPage() {
   const asked = location.hash.slice(1).split("/")[0];
   const name = asked in pages ? asked : "bench";
-  for (const id of Object.keys(pages)) byId(id).hidden = id !== name;
+  for (const id of Object.keys(pages)) byId(`page-${id}`).hidden = id !== name;
   for (const link of document.querySelectorAll("nav a")) {
     if (link.hash === `#${name}`) link.setAttribute("aria-current", "page"); else link.removeAttribute("aria-current");
   }
@@ -72,6 +72,6 @@ function showPage() {
 listen(showState);
 // Ages are told even when nothing comes.
 setInterval(showState, 500);
-for (const [id, page] of Object.entries(pages)) page.build(byId(id));
+for (const [id, page] of Object.entries(pages)) page.build(byId(`page-${id}`));
 window.addEventListener("hashchange", showPage);
 begin().catch(error => say(error.message)).finally(showPage);
