@@ -68,6 +68,7 @@ impl Browser {
             browser.call(&format!("{domain}.enable"), json!({}));
         }
         browser.call("Page.navigate", json!({ "url": url }));
+        browser.until("document.querySelector('#bar') && document.readyState === 'complete'");
         Some(browser)
     }
 
@@ -99,7 +100,7 @@ impl Browser {
     fn until(&mut self, script: &str) {
         let until = Instant::now() + Duration::from_secs(60);
         while self.script(&format!("Boolean({script})")) != true {
-            let shown = "document.querySelector('#bar').innerText + ' | ' + document.querySelector('#said').textContent";
+            let shown = "document.body.innerText.slice(0, 600)";
             assert!(Instant::now() < until, "{script}: {} {:?}", self.script(shown), self.console);
             std::thread::sleep(Duration::from_millis(20));
         }

@@ -16,7 +16,6 @@ struct Seen {
     last: Mutex<Value>,
     lines: Mutex<Vec<String>>,
     points: AtomicU64,
-    messages: AtomicU64,
     answers: AtomicBool,
     is_over: AtomicBool,
 }
@@ -57,7 +56,6 @@ impl<'a> Page<'a> {
                 thread.lines.lock().unwrap().extend(lines);
                 thread.points.fetch_add(message["points"].as_array().unwrap().len() as u64, Ordering::Relaxed);
                 *thread.last.lock().unwrap() = message["state"].clone();
-                thread.messages.fetch_add(1, Ordering::Relaxed);
                 if thread.answers.load(Ordering::Relaxed)
                     && socket.send(Message::text(json!({ "beat": message["beat"] }).to_string())).is_err()
                 {
@@ -80,10 +78,6 @@ impl<'a> Page<'a> {
 
     pub fn points(&self) -> u64 {
         self.seen.points.load(Ordering::Relaxed)
-    }
-
-    pub fn messages(&self) -> u64 {
-        self.seen.messages.load(Ordering::Relaxed)
     }
 
     pub fn has_line(&self, part: &str) -> bool {

@@ -5,6 +5,7 @@ use super::served::Served;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::json;
+use std::time::Duration;
 
 const JSON: &str = "Content-Type: application/json";
 
@@ -72,13 +73,33 @@ fn beyond_this_machine_nothing_is_told_without_the_token() {
     assert_eq!(served.request("POST", "/api/login", &[JSON], r#"{"token":"00"}"#).0, 401);
     let token = served.token.clone().unwrap();
     let login = format!("POST /api/login HTTP/1.1\r\nHost: {}\r\n{JSON}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", served.address, token.len() + 12);
-    let answer = served.raw(format!("{login}{{\"token\":\"{token}\"}}").as_bytes());
+    let answer = served.raw(format!("{login}{{\"token\":\"{token}\"}}").as_bytes(), Duration::from_secs(30));
     assert!(answer.contains(&format!("set-cookie: twum={token}; HttpOnly; SameSite=Strict")), "{answer}");
     assert_eq!(served.request("GET", "/api/state", &[&format!("Cookie: twum={token}")], "").0, 200);
     // The page itself is for everybody, and says nothing.
     assert_eq!(served.request("GET", "/", &[], "").0, 200);
     let page = Page::open(&served);
     page.take();
+}
+
+/// Requests on their way at once: a divisor of 10 000.
+const THREADS: u64 = 16;
+
+fn mutated(seed: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
+    let mut bytes = seed.to_vec();
+    for _ in 0..rng.random_range(1..6) {
+        let at = rng.random_range(0..bytes.len());
+        match rng.random_range(0..4) {
+            0 => bytes[at] = rng.random(),
+            1 => drop(bytes.splice(at..at, (0..rng.random_range(1..40)).map(|_| b'9').collect::<Vec<u8>>())),
+            2 => drop(bytes.drain(at..(at + rng.random_range(1..20)).min(bytes.len()))),
+            _ => bytes.truncate(at.max(1)),
+        }
+        if bytes.is_empty() {
+            bytes.push(0);
+        }
+    }
+    bytes
 }
 
 /// 10 000 requests of the page, each with something of it changed; none of them comes from the page that holds the motor.
@@ -105,24 +126,20 @@ fn ten_thousand_mutated_requests_neither_move_the_motor_nor_crash_the_server() {
         }))
         .map(String::into_bytes)
         .collect();
-    let mut rng = ChaCha8Rng::seed_from_u64(18);
-    let mut answered = 0;
-    for number in 0..10_000 {
-        let mut bytes = seeds[number % seeds.len()].clone();
-        for _ in 0..rng.random_range(1..6) {
-            let at = rng.random_range(0..bytes.len());
-            match rng.random_range(0..4) {
-                0 => bytes[at] = rng.random(),
-                1 => drop(bytes.splice(at..at, (0..rng.random_range(1..40)).map(|_| b'9').collect::<Vec<u8>>())),
-                2 => drop(bytes.drain(at..(at + rng.random_range(1..20)).min(bytes.len()))),
-                _ => bytes.truncate(at.max(1)),
-            }
-            if bytes.is_empty() {
-                bytes.push(0);
-            }
-        }
-        answered += u32::from(served.raw(&bytes).starts_with("HTTP/1.1 "));
-    }
+    // What is cut short is never answered: many wait at once, each for a moment.
+    let answered: usize = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..THREADS)
+            .map(|thread| {
+                let (served, seeds) = (&served, &seeds);
+                scope.spawn(move || {
+                    let mut rng = ChaCha8Rng::seed_from_u64(thread);
+                    let mutated = (0..10_000 / THREADS as usize).map(|number| mutated(&seeds[number % seeds.len()], &mut rng));
+                    mutated.filter(|bytes| served.raw(bytes, Duration::from_millis(50)).starts_with("HTTP/1.1 ")).count()
+                })
+            })
+            .collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).sum()
+    });
     println!("{answered} of 10000 were answered");
     assert!(answered > 1000);
     let state = served.until("the board is heard", |state| state["heard_ms_ago"].as_u64().is_some_and(|ms| ms < 1000));

@@ -62,13 +62,12 @@ impl Served {
         command
     }
 
-    /// Sends bytes, and gives all that comes back.
-    pub fn raw(&self, bytes: &[u8]) -> String {
+    /// Sends bytes, and gives all that comes back until it is silent for so long.
+    pub fn raw(&self, bytes: &[u8], patience: Duration) -> String {
         let mut stream = TcpStream::connect(&self.address).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+        stream.set_read_timeout(Some(patience)).unwrap();
         // A server that has heard enough may close before all is sent.
         let _ = stream.write_all(bytes);
-        let _ = stream.shutdown(std::net::Shutdown::Write);
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
         String::from_utf8_lossy(&answer).into_owned()
@@ -82,7 +81,7 @@ impl Served {
         for line in head.iter().copied().chain((!has_host).then_some(&*host)) {
             text += &format!("{line}\r\n");
         }
-        let answer = self.raw(format!("{text}\r\n{body}").as_bytes());
+        let answer = self.raw(format!("{text}\r\n{body}").as_bytes(), Duration::from_secs(30));
         let status = answer.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0);
         let body = answer.split_once("\r\n\r\n").map_or("", |(_, body)| body);
         (status, body.to_owned())
