@@ -1,10 +1,10 @@
 //! `twum serve`.
 
 use super::connect::ConnectArgs;
+use super::exit;
 use super::motor::MotorArgs;
 use super::output::answer;
 use super::signals::on_signal;
-use super::exit;
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -84,7 +84,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
     })?;
     let url = server.url();
     answer(args.json, &serde_json::json!({ "url": url, "port": port, "folder": args.folder }), &url);
-    eprintln!("the board is on {port}; runs are recorded in {}; Ctrl-C stops the motor and ends", args.folder.display());
+    eprintln!(
+        "the board is on {port}; runs are recorded in {}; Ctrl-C stops the motor and ends",
+        args.folder.display()
+    );
     server.serve()?;
     Ok(ExitCode::SUCCESS)
 }
@@ -98,7 +101,8 @@ fn simulated(motor: &MotorArgs) -> Result<String> {
     std::thread::Builder::new()
         .name("simulated board".to_owned())
         .spawn(move || {
-            let ended = motor.simulated().and_then(|setup| Ok(serve(setup, &NEVER, |name| _ = told.send(name.to_owned()))?));
+            let ended =
+                motor.simulated().and_then(|setup| Ok(serve(setup, &NEVER, |name| _ = told.send(name.to_owned()))?));
             if let Err(error) = ended {
                 eprintln!("error: the simulated board ended: {error:#}");
             }

@@ -23,7 +23,7 @@ macro_rules! own {
 }
 
 /// Every file; the look and the plots are those of the reports.
-pub const ASSETS: [Asset; 14] = [
+pub const ASSETS: [Asset; 15] = [
     own!("/", HTML, "index.html"),
     own!("/serve.css", CSS, "serve.css"),
     own!("/main.js", SCRIPT, "main.js"),
@@ -32,6 +32,7 @@ pub const ASSETS: [Asset; 14] = [
     own!("/bench.js", SCRIPT, "bench.js"),
     own!("/live.js", SCRIPT, "live.js"),
     own!("/settings.js", SCRIPT, "settings.js"),
+    own!("/model.js", SCRIPT, "model.js"),
     own!("/runs.js", SCRIPT, "runs.js"),
     own!("/studies.js", SCRIPT, "studies.js"),
     Asset { path: "/look.css", kind: CSS, text: SHARED.look },

@@ -116,13 +116,17 @@ pub struct Ended {
 /// What a person does about a fault.
 fn what_to_do(fault: Fault) -> &'static str {
     match fault {
-        Fault::CommandTimeout => "The board heard nothing from this computer for too long. Look at the cable, then clear the fault.",
+        Fault::CommandTimeout => {
+            "The board heard nothing from this computer for too long. Look at the cable, then clear the fault."
+        }
         Fault::EncoderStall => "Look whether the rotor is free and the encoder is plugged in, then clear the fault.",
         Fault::WrongDirection => "Look at count_sign and at the encoder's wiring, then clear the fault.",
         Fault::FollowingError | Fault::Overspeed | Fault::PositionBound => {
             "Look at the last run and at the limits, then clear the fault."
         }
-        Fault::AlignFailed | Fault::DriverSilent => "Look at the driver board's power and its wires, then clear the fault.",
+        Fault::AlignFailed | Fault::DriverSilent => {
+            "Look at the driver board's power and its wires, then clear the fault."
+        }
         _ => "Look for its cause (docs/safety.md), then clear the fault.",
     }
 }
@@ -332,7 +336,8 @@ impl Inner {
     }
 
     fn take_point(&mut self) -> bool {
-        let Some(Point { time_us, target_deg, position_deg, speed_rpm, duty, .. }) = self.view.history().last().copied()
+        let Some(Point { time_us, target_deg, position_deg, speed_rpm, duty, .. }) =
+            self.view.history().last().copied()
         else {
             return false;
         };
@@ -344,8 +349,13 @@ impl Inner {
         let time_s = (time_us as i64 + self.offset_us) as f64 * 1e-6;
         // The encoder resolves no less than 0.036 degrees.
         let target_deg = target_deg.map(|target| round(target, 1e-3));
-        let shown =
-            Shown(round(time_s, 1e-3), target_deg, round(position_deg, 1e-3), round(speed_rpm, 1e-2), round(duty, 1e-4));
+        let shown = Shown(
+            round(time_s, 1e-3),
+            target_deg,
+            round(position_deg, 1e-3),
+            round(speed_rpm, 1e-2),
+            round(duty, 1e-4),
+        );
         self.points.push_back(shown);
         self.made += 1;
         if self.points.len() > POINTS {

@@ -60,7 +60,10 @@ impl Door {
         let mut hosts = headers.get_all(HOST).iter();
         let host = hosts.next().and_then(|host| host.to_str().ok());
         let Some(host) = host.filter(|host| hosts.next().is_none() && self.knows(host)) else {
-            return Some((StatusCode::FORBIDDEN, "this server goes by its address, or by the name it was told to listen at"));
+            return Some((
+                StatusCode::FORBIDDEN,
+                "this server goes by its address, or by the name it was told to listen at",
+            ));
         };
         let own = |origin: &str| {
             let there = origin.strip_prefix("http://").or(origin.strip_prefix("https://"));
@@ -77,9 +80,10 @@ impl Door {
         }
         let is_open = !path.starts_with("/api/") || path == "/api/login";
         match &self.token {
-            Some(token) if !is_open && !shown(headers).any(|it| is_same(&it, token)) => {
-                Some((StatusCode::UNAUTHORIZED, "the token is missing or wrong: open the address that the server printed"))
-            }
+            Some(token) if !is_open && !shown(headers).any(|it| is_same(&it, token)) => Some((
+                StatusCode::UNAUTHORIZED,
+                "the token is missing or wrong: open the address that the server printed",
+            )),
             _ => None,
         }
     }
@@ -146,7 +150,8 @@ pub async fn login(State(app): State<Arc<App>>, Json(login): Json<Login>) -> Res
     match app.door.token() {
         Some(token) if !is_same(&login.token, token) => refusal(StatusCode::UNAUTHORIZED, "the token is wrong"),
         _ => {
-            let cookie = format!("{COOKIE_NAME}={}; HttpOnly; SameSite=Strict; Path=/", app.door.token().unwrap_or_default());
+            let cookie =
+                format!("{COOKIE_NAME}={}; HttpOnly; SameSite=Strict; Path=/", app.door.token().unwrap_or_default());
             Response::builder().header(SET_COOKIE, cookie).body(Body::from("{}")).expect("a token is plain text")
         }
     }
@@ -157,13 +162,15 @@ mod tests {
     use super::*;
 
     fn headers(pairs: &[(&'static str, &str)]) -> HeaderMap {
-        pairs.iter().map(|(name, value)| (name.parse().unwrap(), value.parse().unwrap())).collect::<Vec<_>>().into_iter().fold(
-            HeaderMap::new(),
-            |mut map, (name, value): (axum::http::HeaderName, axum::http::HeaderValue)| {
+        pairs
+            .iter()
+            .map(|(name, value)| (name.parse().unwrap(), value.parse().unwrap()))
+            .collect::<Vec<_>>()
+            .into_iter()
+            .fold(HeaderMap::new(), |mut map, (name, value): (axum::http::HeaderName, axum::http::HeaderValue)| {
                 map.append(name, value);
                 map
-            },
-        )
+            })
     }
 
     #[test]
@@ -211,7 +218,9 @@ mod tests {
     #[test]
     fn only_json_changes_anything() {
         let door = Door::new("localhost", true);
-        for (kind, taken) in [("application/json", true), ("application/json; charset=utf-8", true), ("text/plain", false)] {
+        for (kind, taken) in
+            [("application/json", true), ("application/json; charset=utf-8", true), ("text/plain", false)]
+        {
             let sent = headers(&[("host", "localhost"), ("content-type", kind)]);
             assert_eq!(door.refuses(&Method::POST, "/api/stop", &sent).is_none(), taken, "{kind}");
         }

@@ -23,6 +23,10 @@ pub enum Kind {
     Measurement,
     /// A series of runs with its plan.
     Experiment,
+    /// A stator's sweep, as CSV.
+    Sweep,
+    /// A folder of friction trials.
+    Friction,
 }
 
 /// One entry of the list.
@@ -123,7 +127,9 @@ impl Folder {
     fn visit(&self, folder: &Path, depth: usize, found: &mut Vec<Entry>) {
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
             let path = entry.path();
-            let Some(name) = path.strip_prefix(&self.root).ok().and_then(Path::to_str).map(str::to_owned) else { continue };
+            let Some(name) = path.strip_prefix(&self.root).ok().and_then(Path::to_str).map(str::to_owned) else {
+                continue;
+            };
             let Ok(about) = entry.metadata() else { continue };
             if self.place(&name).is_err() {
                 continue;
@@ -133,12 +139,16 @@ impl Folder {
             let mut push = |kind, bytes| found.push(Entry { name: name.clone(), kind, bytes, changed_s, note: None });
             if about.is_file() && path.extension().is_some_and(|extension| extension == "mcap") {
                 push(Kind::Recording, about.len());
+            } else if about.is_file() && path.extension().is_some_and(|extension| extension == "csv") {
+                push(Kind::Sweep, about.len());
             } else if about.is_dir() {
                 if path.join("plan.json").is_file() {
                     push(Kind::Experiment, 0);
                 }
                 if path.join("measurement.toml").is_file() {
                     push(Kind::Measurement, 0);
+                } else if path.join("friction.toml").is_file() {
+                    push(Kind::Friction, 0);
                 } else if depth < DEEPEST {
                     self.visit(&path, depth + 1, found);
                 }
@@ -191,8 +201,22 @@ mod tests {
         std::os::unix::fs::symlink(dir.path(), folder.root().join("up")).unwrap();
         std::fs::write(folder.root().join("run-0001-sine.mcap"), "r").unwrap();
         for name in [
-            "", ".", "..", "../secret.mcap", "up/secret.mcap", "link.mcap", "/etc/passwd", "a/../../secret.mcap", ".hidden",
-            "a/b/c/d", "run-0001-sine.mcap\0", "a\\..\\b", "%2e%2e/secret.mcap", "~root", "a\nb", &"x".repeat(300),
+            "",
+            ".",
+            "..",
+            "../secret.mcap",
+            "up/secret.mcap",
+            "link.mcap",
+            "/etc/passwd",
+            "a/../../secret.mcap",
+            ".hidden",
+            "a/b/c/d",
+            "run-0001-sine.mcap\0",
+            "a\\..\\b",
+            "%2e%2e/secret.mcap",
+            "~root",
+            "a\nb",
+            &"x".repeat(300),
         ] {
             assert!(folder.place(name).is_err(), "{name:?}");
             assert!(folder.write_notes(name, "n").is_err() && folder.notes(name).is_err(), "{name:?}");

@@ -10,6 +10,7 @@ pub mod board;
 pub mod door;
 pub mod folder;
 pub mod holder;
+mod model;
 pub mod owner;
 pub mod request;
 pub mod routes;

@@ -269,11 +269,18 @@ impl Thread {
             }
             Command::Align => {
                 accept(answer);
-                board.doing(Some(Doing { what: "aligning".to_owned(), recording: None, seconds: None, elapsed_s: 0.0 }));
+                board.doing(Some(Doing {
+                    what: "aligning".to_owned(),
+                    recording: None,
+                    seconds: None,
+                    elapsed_s: 0.0,
+                }));
                 let result = session.let_go().and_then(|()| align(session));
                 let words = result.as_ref().map_or_else(
                     |error| format!("not aligned: {error}"),
-                    |()| "aligned: the rotor stands at the beginning of an encoder pulse, and counts as zero".to_owned(),
+                    |()| {
+                        "aligned: the rotor stands at the beginning of an encoder pulse, and counts as zero".to_owned()
+                    },
                 );
                 board.ended(Ended { recording: None, ok: result.is_ok(), words });
                 return result;
@@ -334,13 +341,8 @@ impl Thread {
         session.let_go()?;
         let chip = session.hello()?.chip;
         let motor = self.bench.motor(&chip, &used).map_err(Failed::Motor)?;
-        let experiment = Experiment {
-            configuration: Some(used),
-            capture: ALL_STREAMS,
-            action,
-            recording: Some(recording),
-            motor,
-        };
+        let experiment =
+            Experiment { configuration: Some(used), capture: ALL_STREAMS, action, recording: Some(recording), motor };
         let mut reopen = || self.open();
         Ok(perform(session, &experiment, Some(&mut reopen), |_| {})?)
     }
@@ -403,4 +405,3 @@ fn words_of(outcome: &Outcome) -> (bool, String) {
     let ok = matches!(outcome.run.map(|run| run.end), Some(RunEnd::Completed)) && tally.is_lossless();
     (ok, format!("{end}; {} frames recorded, {lost}", outcome.recorded))
 }
-

@@ -186,6 +186,8 @@ mod tests {
             assert!(error.contains(named), "{text}: {error}");
         }
         let many = vec!["[1,1]"; 17].join(",");
-        assert!(action(&format!(r#"{{"kind":"path","points":[{many}],"seconds":1}}"#)).unwrap_err().contains("at most 16"));
+        assert!(
+            action(&format!(r#"{{"kind":"path","points":[{many}],"seconds":1}}"#)).unwrap_err().contains("at most 16")
+        );
     }
 }

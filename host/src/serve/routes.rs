@@ -6,7 +6,7 @@ use super::door::{self, refusal};
 use super::owner::Command;
 use super::request::Run;
 use super::settings::settings;
-use super::{App, runs, stream, studies};
+use super::{App, model, runs, stream, studies};
 use crate::configuration::{difference, overlay, to_toml};
 use axum::extract::{DefaultBodyLimit, State};
 use axum::http::StatusCode;
@@ -46,6 +46,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/api/run", post(run))
         .route("/api/configuration", get(configuration).post(configure))
         .route("/api/configuration/check", post(check))
+        .merge(model::routes())
         .merge(runs::routes())
         .merge(studies::routes());
     for asset in &ASSETS {
@@ -104,7 +105,9 @@ async fn answered(answer: oneshot::Receiver<Result<Value, String>>, patience: Du
         Ok(Ok(Ok(value))) => Ok(Json(value)),
         Ok(Ok(Err(why))) => Err(conflict(why)),
         Ok(Err(_)) => Err(Refused(StatusCode::SERVICE_UNAVAILABLE, "the server is ending".to_owned())),
-        Err(_) => Err(Refused(StatusCode::GATEWAY_TIMEOUT, "the board has not answered yet: look at its state".to_owned())),
+        Err(_) => {
+            Err(Refused(StatusCode::GATEWAY_TIMEOUT, "the board has not answered yet: look at its state".to_owned()))
+        }
     }
 }
 
@@ -203,8 +206,12 @@ async fn configure(State(app): State<Arc<App>>, Json(Asked { page, what }): Json
     let own = in_force(&app);
     let wanted = overlay(&own, &what.toml).map_err(|error| error.to_string())?;
     _ = command(&app, &page, Command::Configure(Box::new(wanted))).await?;
-    let keys: Vec<String> = difference(&own, &wanted).into_iter().map(|(key, _, new)| format!("{key} = {new}")).collect();
-    app.board.say(format!("the board is configured: {}", if keys.is_empty() { "as before".to_owned() } else { keys.join(", ") }));
+    let keys: Vec<String> =
+        difference(&own, &wanted).into_iter().map(|(key, _, new)| format!("{key} = {new}")).collect();
+    app.board.say(format!(
+        "the board is configured: {}",
+        if keys.is_empty() { "as before".to_owned() } else { keys.join(", ") }
+    ));
     Ok(Json(json!({ "changed": keys })))
 }
 

@@ -5,7 +5,7 @@ use super::App;
 use super::folder::NOTES;
 use super::routes::{Answer, Refused, last_part};
 use crate::compare::replay::replay_recording;
-use crate::plot::{measurement_figure, recording_figure};
+use crate::plot::{measurement_figure, recording_figure, timing_panel};
 use crate::record::load::load_runs;
 use crate::record::store::Reader;
 use crate::report::figure::Figure;
@@ -56,7 +56,10 @@ async fn reading(what: impl FnOnce() -> Result<Value, String> + Send + 'static) 
     match tokio::task::spawn_blocking(what).await {
         Ok(Ok(value)) => Ok(Json(value)),
         Ok(Err(why)) => Err(Refused(StatusCode::UNPROCESSABLE_ENTITY, why)),
-        Err(_) => Err(Refused(StatusCode::INTERNAL_SERVER_ERROR, "reading it failed; the server's terminal says more".to_owned())),
+        Err(_) => Err(Refused(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            "reading it failed; the server's terminal says more".to_owned(),
+        )),
     }
 }
 
@@ -90,7 +93,9 @@ fn figure(path: &Path) -> Result<(Figure, Vec<String>), String> {
         let (measurement, notes) = load_runs(path).map_err(|error| error.to_string())?;
         return Ok((measurement_figure(&measurement, None).map_err(|error| error.to_string())?, notes));
     }
-    recording_figure(path, "").map_err(|error| error.to_string())
+    let (drawn, losses) = recording_figure(path, "").map_err(|error| error.to_string())?;
+    let timing = timing_panel(path).map_err(|error| error.to_string())?;
+    Ok((timing.into_iter().fold(drawn, Figure::panel), losses))
 }
 
 async fn plots(State(app): State<Arc<App>>, Query(which): Query<Which>) -> Answer {

@@ -3,9 +3,9 @@
 //! Each page reads at its own pace. What it does not take in time it finds in the next message or not at all; nobody waits
 //! for it, and nothing is kept for it beyond the ten minutes that are kept for all.
 
+use super::App;
 use super::board::{Cursor, News};
 use super::door::{refusal, secret};
-use super::App;
 use axum::extract::State;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::http::StatusCode;

@@ -59,6 +59,23 @@ pub enum Question {
         /// The run.
         run: String,
     },
+    /// The stator's circuit, of a sweep.
+    Stator {
+        /// Its file.
+        run: String,
+        /// The shunt (ohm).
+        shunt_ohm: f64,
+    },
+    /// The motor's friction, of a folder of trials.
+    Friction {
+        /// The folder.
+        run: String,
+    },
+    /// The neck manipulator in simulation.
+    Neck {
+        /// One of `twum neck exercises`, or `all`.
+        exercise: String,
+    },
     /// The runs that decide what a diagnosis left open.
     NextRuns {
         /// Recordings and folders measured so far.
@@ -84,8 +101,21 @@ impl Question {
                 words.extend(quick.then(|| "--quick".to_owned()));
                 [words, all(runs)?].concat()
             }
-            Self::Compare { run } => {
-                [own(&["compare", "--report", &report]), all(std::slice::from_ref(run))?].concat()
+            Self::Compare { run } => [own(&["compare", "--report", &report]), all(std::slice::from_ref(run))?].concat(),
+            Self::Stator { run, shunt_ohm } => {
+                let shunt = shunt_ohm.to_string();
+                let words = own(&["identify", "stator", "--shunt", &shunt, "--plot", &report]);
+                [words, all(std::slice::from_ref(run))?].concat()
+            }
+            Self::Friction { run } => {
+                [own(&["identify", "friction", "--plot", &report]), all(std::slice::from_ref(run))?].concat()
+            }
+            Self::Neck { exercise } => {
+                // A name, never a path.
+                if !exercise.chars().all(|c| c.is_ascii_lowercase() || c == '-') || exercise.starts_with('-') {
+                    return Err(format!("no exercise `{}`", crate::input::printable(exercise)));
+                }
+                own(&["neck", "--exercise", exercise, "--report", &report])
             }
             Self::NextRuns { runs } => [own(&["experiment", "plan", "--json"]), all(runs)?].concat(),
         })
@@ -97,6 +127,9 @@ impl Question {
                 format!("diagnosis of {}{}", runs.join(", "), if *quick { ", a first look" } else { "" })
             }
             Self::Compare { run } => format!("{run} against the simulation"),
+            Self::Stator { run, .. } => format!("the stator's circuit, of {run}"),
+            Self::Friction { run } => format!("friction, of {run}"),
+            Self::Neck { exercise } => format!("the neck, exercise {exercise}"),
             Self::NextRuns { runs } => format!("the runs that decide, after {}", runs.join(", ")),
         }
     }

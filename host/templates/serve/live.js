@@ -15,7 +15,7 @@ export function live() {
   const value = (point, which) => typeof which === "function" ? which(point) : point[which];
   const shown = () => paused ?? points;
   const last = () => shown().at(-1)?.[0] ?? 0;
-  const range = () => { const end = view.end ?? last(); return [end - view.span, end]; };
+  const range = () => { const end = view.end ?? Math.max(last(), (shown()[0]?.[0] ?? 0) + view.span); return [end - view.span, end]; };
 
   const canvases = PANELS.map(panel => {
     const canvas = element("canvas", { tabIndex: 0, ariaLabel: `live plot of ${panel.title}` });

@@ -2,11 +2,12 @@
 import { act, button, element, say } from "./parts.js";
 import { begin, command, here, holds, listen, post } from "./talk.js";
 import { bench } from "./bench.js";
+import { model } from "./model.js";
 import { settings } from "./settings.js";
 import { runs } from "./runs.js";
 import { diagnosis, experiment } from "./studies.js";
 
-const pages = { bench, settings, runs, experiment, diagnosis };
+const pages = { bench, settings, runs, experiment, diagnosis, model };
 const byId = id => document.getElementById(id);
 
 async function stop() {
@@ -40,7 +41,9 @@ const WORDS = { Idle: "off", Aligning: "aligning", Passthrough: "driver command"
 function showState() {
   const mode = byId("mode"), now = here.now, take = byId("take");
   let words, kind;
+  const silent = (performance.now() - here.heard) / 1000;
   if (!here.open) [words, kind] = ["no connection to the server", "unknown"];
+  else if (silent > 1) [words, kind] = [`nothing heard of the server since ${silent.toFixed(0)} s`, "unknown"];
   else if (!now.connected) [words, kind] = [now.trouble ?? "the board does not answer", "unknown"];
   else if (now.heard_ms_ago == null || now.heard_ms_ago > 1000) [words, kind] = [`the board says nothing${now.heard_ms_ago == null ? "" : ` since ${(now.heard_ms_ago / 1000).toFixed(0)} s`}`, "unknown"];
   else if (now.fault) [words, kind] = [`FAULT ${now.fault.name}`, "fault"];
@@ -48,7 +51,7 @@ function showState() {
   if (mode.textContent !== words) mode.textContent = words;
   mode.className = kind;
   document.body.dataset.mode = here.open ? now.mode : "";
-  document.body.dataset.off = here.open && now.connected ? now.is_off : "";
+  document.body.dataset.off = here.open && now.connected && kind !== "unknown" ? now.is_off : "";
   document.body.dataset.holder = here.holder;
   const doing = here.open ? now.doing : null;
   byId("doing").textContent = doing

@@ -86,7 +86,9 @@ async function look() {
 
 function show(study) {
   shownStudy = study;
-  frame.replaceChildren(element("iframe", { src: `/api/study/page?study=${study}`, title: "the answer", sandbox: "allow-scripts" }));
+  const printed = element("pre");
+  get("/api/study/text", { study }).then(it => { printed.textContent = it.text; }).catch(error => say(error.message));
+  frame.replaceChildren(element("details", {}, element("summary", { textContent: "as the command line prints it" }), printed), element("iframe", { src: `/api/study/page?study=${study}`, title: "the answer", sandbox: "allow-scripts" }));
 }
 
 async function take(study) {
@@ -103,12 +105,18 @@ export const diagnosis = {
     const quick = element("input", { type: "checkbox", checked: true });
     const names = () => [...chosen.selectedOptions].map(option => option.value);
     const start = question => act(async () => { shownStudy = "next"; await post("/api/study", question()); await look(); });
+    const shunt = number(2000), exercise = choice([["rotation", "rotation"], ["flexion-extension", "flexion and extension"], ["lateral-flexion", "lateral flexion"], ["all", "all"]]);
+    const only = () => { if (names().length !== 1) throw new Error("choose one"); return names()[0]; };
     place.append(element("h2", { textContent: "Diagnosis" }),
       element("p", { className: "soft", textContent: "What the simulation gets wrong of the runs chosen, and why. The command line computes it beside the server; the motor's runs go before." }),
       element("div", { className: "row" }, field("runs and folders", chosen),
         element("label", { className: "tick" }, quick, "a first look"),
         button("Diagnose", start(() => ({ kind: "diagnose", runs: names(), quick: quick.checked })), { id: "diagnose", className: "primary" }),
         button("Plan the deciding runs", start(() => ({ kind: "next-runs", runs: names() })), { id: "decide" })),
+      element("details", {}, element("summary", { textContent: "Identification and the neck" }),
+        element("div", { className: "row" }, field("shunt, \u03a9", shunt), button("Stator's circuit", start(() => ({ kind: "stator", run: only(), shunt_ohm: shunt.valueAsNumber })), { title: "of the sweep chosen above" }),
+          button("Friction", start(() => ({ kind: "friction", run: only() })), { title: "of the folder of trials chosen above" }),
+          field("exercise", exercise), button("Neck", start(() => ({ kind: "neck", exercise: exercise.value })), { id: "neck" }))),
       studies, frame);
   },
   async shown() {

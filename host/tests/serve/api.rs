@@ -63,15 +63,18 @@ fn read_the_run(served: &Served, name: &str) {
     let (_, plots) = served.get(&format!("/api/run/plots?run={name}"));
     let panels: Vec<&str> =
         plots["figure"]["panels"].as_array().unwrap().iter().map(|panel| panel["y_label"].as_str().unwrap()).collect();
-    assert_eq!(panels, ["position (°)", "error (°)", "speed (rpm)", "drive on, signed (1)"]);
-    let (_, both) = served.get(&format!("/api/run/plots?run={name}&with={name}"));
+    assert_eq!(panels, ["position (°)", "error (°)", "speed (rpm)", "drive on, signed (1)", "tick (µs)"]);
+    std::fs::copy(served.runs().join(name), served.runs().join("other.mcap")).unwrap();
+    let (_, both) = served.get(&format!("/api/run/plots?run={name}&with=other.mcap"));
     assert_eq!(both["figure"]["panels"][0]["series"].as_array().unwrap().len(), 4);
     let (_, replay) = served.get(&format!("/api/run/replay?run={name}"));
     assert_eq!(replay["exact"], true);
     let (status, _) = served.post("/api/run/notes", &json!({ "run": name, "text": "first light" }));
     assert_eq!(status, 200);
     assert_eq!(served.get(&format!("/api/run/notes?run={name}")).1["text"], "first light");
-    assert_eq!(served.get("/api/runs").1["runs"][0]["note"], "first light");
+    let (_, list) = served.get("/api/runs");
+    let listed = list["runs"].as_array().unwrap().iter().find(|run| run["name"] == name).unwrap();
+    assert_eq!(listed["note"], "first light");
     assert_eq!(std::fs::read(served.runs().join(name)).unwrap(), before, "a recording is never touched");
 }
 
@@ -89,7 +92,8 @@ fn every_kind_of_run_is_made_and_a_stop_of_another_terminal_is_told() {
     ] {
         let taken = page.does("/api/run", Some(what.clone()));
         let state = served.until("it is made", |state| {
-            state["doing"].is_null() && state["last"]["recording"].as_str() == taken["recording"].as_str().unwrap().strip_suffix(".mcap")
+            state["doing"].is_null()
+                && state["last"]["recording"].as_str() == taken["recording"].as_str().unwrap().strip_suffix(".mcap")
         });
         assert_eq!(state["last"]["ok"], true, "{what}: {state}");
     }
@@ -126,7 +130,8 @@ fn an_experiment_is_planned_stopped_and_gone_on_with() {
     served.stop();
     let state = served.until("its end is told", |state| state["doing"].is_null());
     assert!(state["last"]["words"].as_str().unwrap().contains("1 of 2 runs made"), "{state}");
-    let (status, refused) = served.post("/api/experiment/run", &json!({ "page": page.name(), "name": "first", "runs": runs }));
+    let (status, refused) =
+        served.post("/api/experiment/run", &json!({ "page": page.name(), "name": "first", "runs": runs }));
     assert!(status == 400 && refused["error"].as_str().unwrap().contains("exists already"), "{refused}");
     ask(Value::Null);
     let state = served.until("the rest is made", |state| state["last"]["ok"] == true && state["doing"].is_null());

@@ -37,7 +37,12 @@ impl Browser {
         let profile = tempfile::tempdir().unwrap();
         let mut process = Command::new(browser)
             .args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"])
-            .args(["--disable-component-update", "--disable-sync", "--remote-debugging-port=0", "--window-size=1280,900"])
+            .args([
+                "--disable-component-update",
+                "--disable-sync",
+                "--remote-debugging-port=0",
+                "--window-size=1280,900",
+            ])
             .arg(format!("--user-data-dir={}", profile.path().display()))
             .arg("about:blank")
             .stderr(Stdio::piped())
@@ -146,7 +151,8 @@ impl Browser {
             let wide = self.script("document.documentElement.scrollWidth - document.documentElement.clientWidth");
             assert_eq!(wide, 0, "{name} scrolls sideways at {width} px");
             if let Ok(folder) = std::env::var("TWUM_PICTURES") {
-                let picture = self.call("Page.captureScreenshot", json!({ "format": "png", "captureBeyondViewport": true }));
+                let picture =
+                    self.call("Page.captureScreenshot", json!({ "format": "png", "captureBeyondViewport": true }));
                 let data = picture["data"].as_str().unwrap();
                 let path = std::path::Path::new(&folder).join(format!("{name}-{width}-{scheme}.png.base64"));
                 std::fs::write(path, data).unwrap();
@@ -181,7 +187,9 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     browser.looks("bench");
     // The page says when the click came, and when the board said that it is off.
     let watch = "window.stopped = new Promise(done => { const from = performance.now(); const look = () => document.body.dataset.off === 'true' ? done(performance.now() - from) : setTimeout(look, 1); look(); })";
-    browser.script(&format!("document.querySelector('#stop').addEventListener('pointerdown', () => {{ {watch} }}, {{ once: true }}); 0"));
+    browser.script(&format!(
+        "document.querySelector('#stop').addEventListener('pointerdown', () => {{ {watch} }}, {{ once: true }}); 0"
+    ));
     browser.click("#stop");
     let shown_ms = browser.script("window.stopped").as_f64().unwrap();
     println!("{shown_ms:.0} ms from the click to the board's own status on the page");
@@ -215,12 +223,24 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     browser.until("document.querySelectorAll('#page-runs tbody tr').length === 3");
     browser.looks("runs");
     browser.script("location.hash = '#runs/run-0001-sine.mcap'; 0");
-    browser.until("document.querySelectorAll('#plots .uplot').length === 4");
+    browser.until("document.querySelectorAll('#plots .uplot').length === 5");
     browser.looks("run");
     browser.enter("#replay");
     browser.until("document.querySelector('#page-runs').textContent.includes('every one is as recorded')");
     browser.script("(s => { s.value = 'run-0002-sine.mcap'; s.dispatchEvent(new Event('change')); })(document.querySelector('[aria-label=\"another run\"]')); 0");
     browser.until("document.querySelector('#plots').textContent.includes('position, run-0002-sine')");
+    browser.script("location.hash = '#model'; 0");
+    browser.until("document.querySelectorAll('#predicted .uplot').length === 3");
+    browser.looks("model");
+    browser.script("(i => { i.value = 0; i.dispatchEvent(new Event('input')); })(document.querySelector('input[aria-label=Vrms]')); 0");
+    browser.until("document.querySelector('#predicted').dataset.turn > 1");
+    // A report beside the page, in a frame that reaches nothing of it.
+    browser.script("location.hash = '#diagnosis'; 0");
+    browser.until("document.querySelector('#neck')");
+    browser.script("document.querySelector('#neck').click(); 0");
+    browser.until("document.querySelector('#page-diagnosis iframe')");
+    std::thread::sleep(Duration::from_secs(2));
+    browser.looks("diagnosis");
     browser.call("Page.reload", json!({}));
     browser.until("document.body.dataset.holder === 'nobody' || document.body.dataset.holder === 'another'");
     assert_eq!(browser.console, Vec::<String>::new());

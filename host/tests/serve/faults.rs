@@ -29,7 +29,11 @@ fn a_page_that_is_frozen_or_gone_stops_the_motor_and_comes_back_only_by_an_act()
         let watcher = Page::open(&served);
         let holder = Page::open(&served);
         holder.take();
-        assert_eq!(served.post("/api/take", &json!({ "page": "0123456789abcdef0123456789abcdef" })).0, 409, "no page of that name");
+        assert_eq!(
+            served.post("/api/take", &json!({ "page": "0123456789abcdef0123456789abcdef" })).0,
+            409,
+            "no page of that name"
+        );
         let name = holder.tracking();
         let (status, refused) = watcher.command("/api/take", None);
         assert_eq!(status, 409, "one page holds it while it is used: {refused}");
@@ -75,7 +79,8 @@ fn a_server_that_is_killed_leaves_a_motor_that_stops_itself_and_a_whole_recordin
 fn two_servers_on_one_port_do_not_share_it_and_the_second_says_so() {
     let (simulator, served) = board();
     let second = Served::start(&simulator.port, "127.0.0.1:0", "");
-    let state = second.until("it says what is wrong", |state| state["trouble"].as_str().is_some_and(|it| it.contains("in use")));
+    let state = second
+        .until("it says what is wrong", |state| state["trouble"].as_str().is_some_and(|it| it.contains("in use")));
     assert_eq!(state["connected"], false);
     let page = Page::open(&second);
     page.take();
@@ -85,7 +90,11 @@ fn two_servers_on_one_port_do_not_share_it_and_the_second_says_so() {
     assert!(status == 409 && refused["error"].as_str().unwrap().contains("cannot be told"), "{refused}");
     assert_eq!(served.state()["connected"], true);
     // Two servers at one address: the second ends with a sentence.
-    let output = served.twum(&["serve", "--port", "sim", "--listen", &served.address, "--folder"]).arg(second.runs()).output().unwrap();
+    let output = served
+        .twum(&["serve", "--port", "sim", "--listen", &served.address, "--folder"])
+        .arg(second.runs())
+        .output()
+        .unwrap();
     assert!(!output.status.success() && text(&output).contains("name another with --listen"), "{}", text(&output));
 }
 

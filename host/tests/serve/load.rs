@@ -46,7 +46,11 @@ fn watched(watchers: usize, seconds: u32) {
         std::thread::sleep(Duration::from_millis(500));
     }
     let state = served.state();
-    let rates: Vec<f64> = pages.iter().zip(&points).map(|(page, from)| (page.points() - from) as f64 / began.elapsed().as_secs_f64()).collect();
+    let rates: Vec<f64> = pages
+        .iter()
+        .zip(&points)
+        .map(|(page, from)| (page.points() - from) as f64 / began.elapsed().as_secs_f64())
+        .collect();
     let mut reader = Reader::open(served.runs().join(name)).unwrap();
     while reader.next_entry().unwrap().is_some() {}
     println!(

@@ -11,8 +11,20 @@ const JSON: &str = "Content-Type: application/json";
 
 /// What changes anything.
 const CHANGES: [&str; 14] = [
-    "/api/login", "/api/stop", "/api/take", "/api/release", "/api/clear", "/api/arm", "/api/align", "/api/run", "/api/configuration",
-    "/api/run/notes", "/api/study", "/api/study/cancel", "/api/experiment/plan", "/api/experiment/run",
+    "/api/login",
+    "/api/stop",
+    "/api/take",
+    "/api/release",
+    "/api/clear",
+    "/api/arm",
+    "/api/align",
+    "/api/run",
+    "/api/configuration",
+    "/api/run/notes",
+    "/api/study",
+    "/api/study/cancel",
+    "/api/experiment/plan",
+    "/api/experiment/run",
 ];
 
 #[test]
@@ -21,7 +33,8 @@ fn what_is_not_meant_is_refused_and_moves_nothing() {
     served.until("the board answers", |state| state["connected"] == true);
     let page = Page::open(&served);
     page.take();
-    let run = json!({ "page": page.name(), "what": { "kind": "speed", "duty": 1, "direction": "cw", "seconds": 5 } }).to_string();
+    let run = json!({ "page": page.name(), "what": { "kind": "speed", "duty": 1, "direction": "cw", "seconds": 5 } })
+        .to_string();
     let host = format!("Host: {}", served.address);
     let long = "x".repeat(70_000);
     let table: [(&str, &str, &str, Vec<&str>, &str, u16); 17] = [
@@ -41,7 +54,14 @@ fn what_is_not_meant_is_refused_and_moves_nothing() {
         ("an absolute path", "GET", "/api/run/replay?run=/etc/passwd", vec![], "", 400),
         ("a path to study", "POST", "/api/study", vec![JSON], r#"{"kind":"compare","run":"../../etc/passwd"}"#, 409),
         ("an option to study", "POST", "/api/study", vec![JSON], r#"{"kind":"compare","run":"--report"}"#, 409),
-        ("a stream of another origin", "GET", "/api/stream", vec!["Origin: https://example.org", "Upgrade: websocket"], "", 403),
+        (
+            "a stream of another origin",
+            "GET",
+            "/api/stream",
+            vec!["Origin: https://example.org", "Upgrade: websocket"],
+            "",
+            403,
+        ),
     ];
     std::fs::write(served.folder.path().join("secret.mcap"), "secret").unwrap();
     for (what, method, path, head, body, status) in table {
@@ -63,16 +83,26 @@ fn what_is_not_meant_is_refused_and_moves_nothing() {
 fn beyond_this_machine_nothing_is_told_without_the_token() {
     let served = Served::start("sim", "0.0.0.0:0", "");
     assert_eq!(served.token.as_ref().map(String::len), Some(32));
-    for path in ["/api/state", "/api/runs", "/api/configuration", "/api/stream", "/api/studies", "/api/study/page?study=1"] {
+    for path in
+        ["/api/state", "/api/runs", "/api/configuration", "/api/stream", "/api/studies", "/api/study/page?study=1"]
+    {
         assert_eq!(served.request("GET", path, &[], "").0, 401, "{path}");
-        assert_eq!(served.request("GET", path, &["Cookie: twum=00000000000000000000000000000000"], "").0, 401, "{path}");
+        assert_eq!(
+            served.request("GET", path, &["Cookie: twum=00000000000000000000000000000000"], "").0,
+            401,
+            "{path}"
+        );
     }
     for path in CHANGES.iter().filter(|path| **path != "/api/login") {
         assert_eq!(served.request("POST", path, &[JSON], "{}").0, 401, "{path}");
     }
     assert_eq!(served.request("POST", "/api/login", &[JSON], r#"{"token":"00"}"#).0, 401);
     let token = served.token.clone().unwrap();
-    let login = format!("POST /api/login HTTP/1.1\r\nHost: {}\r\n{JSON}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", served.address, token.len() + 12);
+    let login = format!(
+        "POST /api/login HTTP/1.1\r\nHost: {}\r\n{JSON}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
+        served.address,
+        token.len() + 12
+    );
     let answer = served.raw(format!("{login}{{\"token\":\"{token}\"}}").as_bytes(), Duration::from_secs(30));
     assert!(answer.contains(&format!("set-cookie: twum={token}; HttpOnly; SameSite=Strict")), "{answer}");
     assert_eq!(served.request("GET", "/api/state", &[&format!("Cookie: twum={token}")], "").0, 200);
@@ -133,8 +163,11 @@ fn ten_thousand_mutated_requests_neither_move_the_motor_nor_crash_the_server() {
                 let (served, seeds) = (&served, &seeds);
                 scope.spawn(move || {
                     let mut rng = ChaCha8Rng::seed_from_u64(thread);
-                    let mutated = (0..10_000 / THREADS as usize).map(|number| mutated(&seeds[number % seeds.len()], &mut rng));
-                    mutated.filter(|bytes| served.raw(bytes, Duration::from_millis(50)).starts_with("HTTP/1.1 ")).count()
+                    let mutated =
+                        (0..10_000 / THREADS as usize).map(|number| mutated(&seeds[number % seeds.len()], &mut rng));
+                    mutated
+                        .filter(|bytes| served.raw(bytes, Duration::from_millis(50)).starts_with("HTTP/1.1 "))
+                        .count()
                 })
             })
             .collect();
@@ -143,7 +176,10 @@ fn ten_thousand_mutated_requests_neither_move_the_motor_nor_crash_the_server() {
     println!("{answered} of 10000 were answered");
     assert!(answered > 1000);
     let state = served.until("the board is heard", |state| state["heard_ms_ago"].as_u64().is_some_and(|ms| ms < 1000));
-    assert_eq!((&state["is_off"], &state["mode"], &state["fault"]), (&json!(true), &json!("Idle"), &serde_json::Value::Null));
+    assert_eq!(
+        (&state["is_off"], &state["mode"], &state["fault"]),
+        (&json!(true), &json!("Idle"), &serde_json::Value::Null)
+    );
     let page = Page::open(&served);
     page.take();
     page.does("/api/run", Some(json!({ "kind": "speed", "duty": 0.5, "direction": "cw", "seconds": 0.3 })));

@@ -54,6 +54,11 @@ mod tests {
         assert_eq!(panel.x_range, Some((0.0, 4.0)));
         let labels: Vec<&str> = panel.series.iter().map(|series| &*series.label).collect();
         assert_eq!(labels, ["speed, a", "speed, b"]);
-        assert!(panel.series.iter().all(|series| matches!(&series.shape, Shape::Line(points) if points[0] == (0.0, points[0].1))));
+        assert!(
+            panel
+                .series
+                .iter()
+                .all(|series| matches!(&series.shape, Shape::Line(points) if points[0] == (0.0, points[0].1)))
+        );
     }
 }
