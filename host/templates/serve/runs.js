@@ -42,7 +42,7 @@ async function open(name) {
     ...runs.filter(it => it.kind === "recording" && it.name !== name).map(it => element("option", { value: it.name, textContent: it.name })));
   others.onchange = act(async () => draw(place, (await get("/api/run/plots", others.value ? { run: name, with: others.value } : { run: name })).figure));
   const replay = button("Check bit for bit", act(async () => {
-    const { exact, found: { replay: it } } = await get("/api/run/replay", { run: name });
+    const { exact, found: it } = await get("/api/run/replay", { run: name });
     found.textContent = it.checked
       ? `${it.checked} control ticks recomputed in ${it.runs} runs: ${exact ? "every one is as recorded" : `${it.mismatched} DIFFER`}; ${it.missing} missing`
       : "no control ticks to recompute: only a closed loop records them";

@@ -145,12 +145,7 @@ fn an_experiment_is_planned_stopped_and_gone_on_with() {
 #[test]
 fn a_shipped_folder_is_diagnosed_with_its_page_and_progress() {
     let served = Served::sim();
-    let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/first");
-    let copied = served.runs().join("bench3");
-    std::fs::create_dir_all(&copied).unwrap();
-    for entry in std::fs::read_dir(example).unwrap().flatten().filter(|entry| entry.path().is_file()) {
-        std::fs::copy(entry.path(), copied.join(entry.file_name())).unwrap();
-    }
+    served.has_example("bench3");
     let (status, begun) = served.post("/api/study", &json!({ "kind": "diagnose", "runs": ["bench3"], "quick": true }));
     assert_eq!(status, 200, "{begun}");
     let (status, _) = served.post("/api/study", &json!({ "kind": "diagnose", "runs": ["bench3"], "quick": true }));
@@ -172,4 +167,6 @@ fn a_shipped_folder_is_diagnosed_with_its_page_and_progress() {
     let (status, page) = served.request("GET", "/api/study/page?study=1", &[], "");
     assert_eq!(status, 200);
     assert!(page.contains("<h1>") && page.contains("plots.all()"), "the report's page");
+    let (_, text) = served.get("/api/study/text?study=1");
+    assert!(text["text"].as_str().unwrap().starts_with("NAMED: dead-zone"), "{text}");
 }
