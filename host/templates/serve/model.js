@@ -2,7 +2,7 @@
 import { act, button, choice, element, field, say } from "./parts.js";
 import { get, post } from "./talk.js";
 
-let known = null, host, place, words, flavour, control, run, chosen = {}, effects = {}, drawn = [], turn = 0, waiting = 0;
+let known = null, host, place, words, flavour, control, run, chosen = {}, effects = {}, drawn = [], last = null, turn = 0, waiting = 0;
 
 const short = value => String(+Number(value).toPrecision(4)).replace("-", "−");
 
@@ -48,10 +48,15 @@ async function predict() {
   const found = await post("/api/model", { flavour: flavour.value, set: chosen, effects, control: control.value, run: run.value || null });
   if (mine !== turn) return;
   words.textContent = `${short(found.full_drive_rpm)} rpm at full drive; the thesis's sine is followed with ${short(found.following.mse_deg2)} deg², ${short(found.following.mean_abs_deg)}° on average`;
+  last = found.figure;
+  redraw(last);
+  place.dataset.turn = mine;
+}
+
+function redraw(figure) {
   for (const panel of drawn) panel.destroy();
   place.replaceChildren();
-  drawn = plots.draw(place, found.figure);
-  place.dataset.turn = mine;
+  drawn = plots.draw(place, figure);
 }
 
 export const model = {
@@ -65,6 +70,7 @@ export const model = {
     host = element("div");
     place = element("div", { id: "predicted" });
     words = element("p", { className: "callout" });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (last) redraw(last); });
     section.append(element("h2", { textContent: "Model" }),
       element("p", { className: "soft", textContent: "The averaged model of the 30 mm motor: speed against duty at 50 Hz PWM, and the thesis's closed loop (80.1°, 1.257 rad/s, 10 s). Nothing here moves the motor." }),
       element("div", { className: "row" }, field("flavour", flavour), field("controller", control), field("measured beside it", run), button("As the motor file has it", act(async () => build()))),

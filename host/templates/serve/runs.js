@@ -2,13 +2,13 @@
 import { act, button, clock, element, field, say, table } from "./parts.js";
 import { get, here, listen, post } from "./talk.js";
 
-let list, one, drawn = [], seen = "";
+let list, one, drawn = [], last = null, seen = "";
 const size = bytes => bytes ? `${(bytes / 1e6).toFixed(bytes < 1e7 ? 2 : 0)} MB` : "";
 
 async function load() {
   const { runs, folder } = await get("/api/runs");
   const rows = runs.map(run => {
-    const figures = element("td", { className: "name" });
+    const figures = element("td", { className: "figures" });
     const row = element("tr", {}, element("td", { className: "name" }, element("a", { href: `#runs/${encodeURIComponent(run.name)}`, textContent: run.name })),
       element("td", { textContent: run.kind }), element("td", { textContent: clock(run.changed_s) }), element("td", { className: "number", textContent: size(run.bytes) }),
       figures, element("td", { className: "name", textContent: run.note ?? "" }));
@@ -26,6 +26,7 @@ async function load() {
 }
 
 function draw(place, figure) {
+  last = [place, figure];
   for (const panel of drawn) panel.destroy();
   place.replaceChildren();
   drawn = plots.draw(place, figure);
@@ -67,11 +68,11 @@ export const runs = {
     one = element("div");
     place.append(element("h2", { textContent: "Runs" }), list, one);
     listen(() => {
-      const last = JSON.stringify(here.now?.last?.words ?? "");
-      if (last !== seen && !place.hidden && !list.hidden) load().catch(error => say(error.message));
-      seen = last;
+      const words = here.now?.last?.words ?? "";
+      if (words !== seen && !place.hidden && !list.hidden) load().catch(error => say(error.message));
+      seen = words;
     });
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (!place.hidden) runs.shown(decodeURIComponent(location.hash.slice(6))); });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (last?.[0].isConnected) draw(...last); });
   },
   shown: name => open(name).catch(error => say(error.message)),
 };

@@ -17,7 +17,7 @@ function showPlan(runs) {
 function enable() {
   const ready = holds() && here.now?.connected && !here.now.doing && !here.now.fault;
   begin.disabled = !(ready && planned.length);
-  resume.disabled = !ready;
+  resume.disabled = !(ready && experiment.kept.value);
 }
 
 // A run of `twum experiment plan --json`, as a series keeps it.
@@ -36,7 +36,7 @@ export const experiment = {
     begin = button("Make these runs", act(() => command2("/api/experiment/run", { name: name.value.trim(), runs: planned })), { id: "make", className: "primary" });
     resume = button("Go on with it", act(() => command2("/api/experiment/run", { name: kept.value, runs: null })));
     place.append(element("h2", { textContent: "Experiment" }),
-      element("p", { className: "soft", textContent: "A series of open-loop runs, each recorded, then made into a measurement. This page holds the motor while it lasts: leave it open. `twum experiment run` makes the same without a page." }),
+      element("p", { className: "soft", textContent: "A series of open-loop runs, each recorded, then made into a measurement. This page holds the motor while it lasts: leave it open. \u201ctwum experiment run\u201d makes the same without a page." }),
       element("div", { className: "row" }, field("duties", duties), field("directions", directions), field("trials", trials), field("length of each, s", seconds),
         button("Plan", act(async () => {
           const table = { duties: duties.value.split(/[\s,;]+/).filter(Boolean).map(Number), directions: directions.value === "both" ? ["cw", "ccw"] : [directions.value], trials: trials.valueAsNumber, seconds: seconds.valueAsNumber };
