@@ -67,23 +67,26 @@ impl Holder {
         held
     }
 
-    /// Ends a lease that has run out; whether it did so now.
-    pub fn expire(&self) -> bool {
+    /// Ends a lease that ran out so long ago; whether it did so now.
+    pub fn expire(&self, patience: Duration) -> bool {
         let mut lease = self.lock();
-        let over = lease.as_ref().is_some_and(|lease| Instant::now() > lease.until);
+        let over = lease.as_ref().is_some_and(|lease| Instant::now() > lease.until + patience);
         if over {
             *lease = None;
         }
         over
     }
 
-    /// Whether the page may move the motor.
+    /// Whether the page may move the motor. Asking is a sign of life.
     ///
     /// # Errors
     /// When it may not.
-    pub fn check(&self, page: &str) -> Result<(), HeldError> {
-        match self.lock().as_ref() {
-            Some(lease) if lease.page == page => Ok(()),
+    pub fn check(&self, page: &str, timeout: Duration) -> Result<(), HeldError> {
+        match self.lock().as_mut() {
+            Some(lease) if lease.page == page => {
+                lease.until = lease.until.max(Instant::now() + timeout);
+                Ok(())
+            }
             _ => Err(HeldError::NotHolder),
         }
     }
@@ -105,18 +108,18 @@ mod tests {
     #[test]
     fn one_page_holds_it_until_it_falls_silent() {
         let (holder, timeout) = (Holder::default(), Duration::from_millis(40));
-        assert_eq!(holder.check("a"), Err(HeldError::NotHolder));
+        assert_eq!(holder.check("a", timeout), Err(HeldError::NotHolder));
         holder.take("a", false, timeout).unwrap();
         assert_eq!((holder.of("a"), holder.of("b")), ("you", "another"));
         assert_eq!(holder.take("b", true, timeout), Err(HeldError::InUse));
-        assert_eq!(holder.check("b"), Err(HeldError::NotHolder));
+        assert_eq!(holder.check("b", timeout), Err(HeldError::NotHolder));
         // An answer to what was sent long ago is no sign of life, nor is another page's.
         let long_ago = Instant::now().checked_sub(Duration::from_secs(1)).unwrap();
         holder.beat("a", long_ago, timeout);
         holder.beat("b", Instant::now() + Duration::from_secs(9), timeout);
         std::thread::sleep(Duration::from_millis(60));
-        assert!(holder.expire() && !holder.expire());
-        assert_eq!(holder.check("a"), Err(HeldError::NotHolder), "it does not come back by itself");
+        assert!(!holder.expire(timeout * 100) && holder.expire(Duration::ZERO) && !holder.expire(Duration::ZERO));
+        assert_eq!(holder.check("a", timeout), Err(HeldError::NotHolder), "it does not come back by itself");
         holder.beat("a", Instant::now(), timeout);
         assert_eq!(holder.of("a"), "nobody");
         holder.take("b", false, timeout).unwrap();

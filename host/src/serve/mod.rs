@@ -39,6 +39,8 @@ use thiserror::Error;
 
 /// A lease that has run out is seen within this time.
 const LEASE_LOOKED_AT: Duration = Duration::from_millis(20);
+/// A page that falls behind while nothing is going on, as while it draws a long recording, keeps the motor for so long more.
+const AT_REST: Duration = Duration::from_secs(10);
 /// Threads that answer pages.
 const THREADS: usize = 2;
 
@@ -209,8 +211,9 @@ async fn over(is_over: &AtomicBool) {
 /// Stops what a page set in motion that is gone.
 fn watch_lease(app: &App, is_over: &AtomicBool) {
     while !is_over.load(Ordering::Relaxed) {
-        if app.holder.expire() {
-            if app.board.is_at_work() {
+        let is_at_work = app.board.is_at_work();
+        if app.holder.expire(if is_at_work { Duration::ZERO } else { AT_REST }) {
+            if is_at_work {
                 // Nobody waits for the answer; the state says how it went.
                 drop(app.owner.stop());
                 app.board.say("the page that held the motor is gone or does not keep up: the motor is stopped");

@@ -143,7 +143,7 @@ async fn release(State(app): State<Arc<App>>, Json(Page { page }): Json<Page>) -
 
 /// Hands something over for the page that holds the motor.
 pub(super) async fn command(app: &App, page: &str, command: Command) -> Answer {
-    app.holder.check(page).map_err(conflict)?;
+    app.holder.check(page, app.board.command_timeout()).map_err(conflict)?;
     let answer = app.owner.ask(command).map_err(conflict)?;
     answered(answer, ANSWER).await
 }
@@ -161,7 +161,7 @@ async fn align(State(app): State<Arc<App>>, Json(Page { page }): Json<Page>) -> 
 }
 
 async fn run(State(app): State<Arc<App>>, Json(Asked { page, what }): Json<Asked<Run>>) -> Answer {
-    app.holder.check(&page).map_err(conflict)?;
+    app.holder.check(&page, app.board.command_timeout()).map_err(conflict)?;
     let edges_per_rev = in_force(&app).edges_per_rev;
     let action = what.action(edges_per_rev)?;
     let recording = app.folder.next(what.word());
@@ -202,7 +202,7 @@ async fn check(State(app): State<Arc<App>>, Json(Text { toml }): Json<Text>) -> 
 }
 
 async fn configure(State(app): State<Arc<App>>, Json(Asked { page, what }): Json<Asked<Text>>) -> Answer {
-    app.holder.check(&page).map_err(conflict)?;
+    app.holder.check(&page, app.board.command_timeout()).map_err(conflict)?;
     let own = in_force(&app);
     let wanted = overlay(&own, &what.toml).map_err(|error| error.to_string())?;
     _ = command(&app, &page, Command::Configure(Box::new(wanted))).await?;

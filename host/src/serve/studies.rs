@@ -378,7 +378,9 @@ struct Wanted {
 }
 
 async fn run(State(app): State<Arc<App>>, Json(wanted): Json<Wanted>) -> Answer {
-    app.holder.check(&wanted.page).map_err(|why| Refused(StatusCode::CONFLICT, why.to_string()))?;
+    app.holder
+        .check(&wanted.page, app.board.command_timeout())
+        .map_err(|why| Refused(StatusCode::CONFLICT, why.to_string()))?;
     let folder = app.folder.place(&wanted.name)?;
     if wanted.name.contains('/') {
         return Err("an experiment's name has no `/`".to_owned().into());
