@@ -71,7 +71,8 @@ mod tests {
         let mut shown: Vec<String> =
             settings(&Configuration::with_control(ConfigSpec::DEFAULT)).into_iter().map(|row| row.key).collect();
         let mut known = KEYS.map(|(key, _, _)| key.to_owned()).to_vec();
-        (shown.sort(), known.sort());
+        shown.sort();
+        known.sort();
         assert_eq!(shown, known);
     }
 }

@@ -37,7 +37,8 @@ fn what_is_not_meant_is_refused_and_moves_nothing() {
         .to_string();
     let host = format!("Host: {}", served.address);
     let long = "x".repeat(70_000);
-    let table: [(&str, &str, &str, Vec<&str>, &str, u16); 17] = [
+    type Row<'a> = (&'a str, &'a str, &'a str, Vec<&'a str>, &'a str, u16);
+    let table: [Row<'_>; 17] = [
         ("another origin", "POST", "/api/run", vec![JSON, "Origin: https://example.org"], &run, 403),
         ("no origin at all, as a file", "POST", "/api/run", vec![JSON, "Origin: null"], &run, 403),
         ("another port's page", "POST", "/api/run", vec![JSON, "Origin: http://127.0.0.1:1"], &run, 403),
