@@ -28,6 +28,9 @@ const KEPT: usize = 20;
 const PRINTED: u64 = 4 << 20;
 /// Runs of a plan.
 const PLANNED: usize = 1000;
+/// Keys pressed in a report's frame do not come to the page around it: those that stop are told to it.
+const KEYS: &str = "<script>addEventListener('keydown', e => { if (e.key === 'Escape' || e.key === ' ') { e.preventDefault(); \
+                    parent.postMessage('stop', '*'); } }, true);</script>";
 /// A study's end is looked for this often.
 const LOOKED_AT: Duration = Duration::from_millis(50);
 
@@ -325,6 +328,7 @@ async fn page(State(app): State<Arc<App>>, Query(which): Query<Which>) -> Respon
     match path.map(std::fs::read) {
         // A report runs its own scripts, apart from everything else: it reaches nothing of this server.
         Some(Ok(html)) => {
+            let html = String::from_utf8_lossy(&html).replacen("</body>", &format!("{KEYS}</body>"), 1);
             let policy = "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; \
                           img-src data:; frame-ancestors 'self'";
             ([(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, policy)], html).into_response()

@@ -31,6 +31,8 @@ window.addEventListener("keydown", event => {
     if (!event.repeat) stop();
   }
 }, true);
+// The same keys in the frame of a report. A stop is anybody's.
+window.addEventListener("message", event => { if (event.data === "stop" && event.source === document.querySelector("iframe")?.contentWindow) stop(); });
 // A button is clicked by the space bar's release: that click is none.
 window.addEventListener("keyup", event => { if (event.key === " " && event.target.matches?.("button, summary, select")) event.preventDefault(); }, true);
 

@@ -7,8 +7,10 @@ export const listen = listener => listeners.push(listener);
 export const holds = () => state.holder === "you";
 
 async function answer(response) {
-  const value = await response.json().catch(() => ({}));
-  if (!response.ok) throw new Error(value.error ?? `the server says ${response.status}`);
+  const text = await response.text();
+  let value = {};
+  try { value = JSON.parse(text); } catch { /* A refusal of the HTTP library is plain text. */ }
+  if (!response.ok) throw new Error(value.error ?? (text || `the server says ${response.status}`));
   return value;
 }
 

@@ -254,6 +254,15 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     browser.until("document.querySelector('#page-diagnosis').textContent.includes('NAMED: dead-zone')");
     std::thread::sleep(Duration::from_secs(2));
     browser.looks("diagnosis");
+    // The keys stop from within the frame too.
+    browser.script("location.hash = '#bench'; 0");
+    browser.until(IDLE);
+    browser.enter("#run");
+    browser.until(RUNS);
+    browser.script("location.hash = '#diagnosis'; 0");
+    browser.click("#page-diagnosis iframe");
+    browser.key("Escape", 27);
+    browser.until(OFF);
     browser.call("Page.reload", json!({}));
     browser.until("['nobody', 'another'].includes(document.body?.dataset.holder)");
     assert_eq!(browser.console, Vec::<String>::new());
