@@ -3,8 +3,9 @@
 //! [`owner`] is the thread that owns the port. [`tap`] shows [`board`] what comes over it. [`stream`] brings that to every page
 //! at the page's own pace, and [`holder`] knows which of them may move the motor, and stops it when that page falls silent.
 //! [`door`] says who comes in, [`routes`] what can be asked. Computing that takes long is done by the command line itself, in
-//! a program of its own ([`studies`]): it can neither hold up the port nor bring the server down.
+//! a program of its own (`studies`): it can neither hold up the port nor bring the server down.
 
+pub mod answer;
 pub mod assets;
 pub mod board;
 pub mod door;

@@ -2,7 +2,7 @@
 //! what was measured.
 
 use super::App;
-use super::routes::{Answer, Refused, in_force};
+use super::answer::{Answer, Refused, in_force};
 use crate::configuration::controller;
 use crate::model::closed_loop::{LoopProgram, following, run as run_loop};
 use crate::model::effects::{CATALOGUE, EffectSet};

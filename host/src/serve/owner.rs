@@ -2,7 +2,7 @@
 //! thing to do at a time. A stop waits for nothing: it ends what is going on and is sent whatever the board says of itself.
 
 use super::board::{Board, Doing, Ended};
-use super::series::{self, Task};
+use super::series::{self, Failed, Task};
 use super::tap::Tap;
 use crate::link::bench::{Action, Experiment, Outcome, align, perform};
 use crate::link::{LinkError, Port, Session};
@@ -357,30 +357,6 @@ impl Thread {
         let restored = session.let_go().and_then(|()| session.configure(own));
         board.ended(ended);
         restored
-    }
-}
-
-/// Why a run was not made.
-#[derive(Debug)]
-pub enum Failed {
-    /// The link's reason.
-    Link(LinkError),
-    /// Board and motor do not go together.
-    Motor(String),
-}
-
-impl From<LinkError> for Failed {
-    fn from(error: LinkError) -> Self {
-        Self::Link(error)
-    }
-}
-
-impl std::fmt::Display for Failed {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Link(error) => error.fmt(f),
-            Self::Motor(words) => f.write_str(words),
-        }
     }
 }
 

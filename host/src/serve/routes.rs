@@ -1,6 +1,7 @@
 //! What can be asked of the server over HTTP. Whatever changes anything is a POST of JSON; whatever may move the motor, or
 //! change how it moves, is asked for by the page that holds it. A stop is anybody's.
 
+use super::answer::{Answer, answered, command, conflict, in_force};
 use super::assets::ASSETS;
 use super::door::{self, refusal};
 use super::owner::Command;
@@ -16,21 +17,13 @@ use axum::routing::{get, post};
 use axum::{Json, Router};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::oneshot;
-use tokio::time::timeout;
-use twum_shared::message::Configuration;
-use twum_shared::step::ConfigSpec;
 
 /// Longest body of a request, bytes: notes, and a configuration many times over.
 const LONGEST_BODY: usize = 64 << 10;
 /// A stop that the board takes is seen to be one within this time (`link::stopping`), or is given up.
 const STOPPING: Duration = Duration::from_secs(15);
-/// What takes no time is answered within this time, or the port is away.
-const ANSWER: Duration = Duration::from_secs(8);
-
 /// Everything there is to ask for.
 pub fn router(app: Arc<App>) -> Router {
     let mut router = Router::new()
@@ -59,28 +52,6 @@ pub fn router(app: Arc<App>) -> Router {
         .with_state(app)
 }
 
-/// What every route answers with: JSON, or why not.
-pub type Answer = Result<Json<Value>, Refused>;
-
-/// A refusal in a sentence.
-pub struct Refused(pub StatusCode, pub String);
-
-impl IntoResponse for Refused {
-    fn into_response(self) -> Response {
-        refusal(self.0, self.1)
-    }
-}
-
-impl From<String> for Refused {
-    fn from(why: String) -> Self {
-        Self(StatusCode::BAD_REQUEST, why)
-    }
-}
-
-fn conflict(why: impl ToString) -> Refused {
-    Refused(StatusCode::CONFLICT, why.to_string())
-}
-
 /// The page that asks, by the name that its stream began with.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -98,17 +69,6 @@ struct Asked<T> {
 
 async fn state(State(app): State<Arc<App>>) -> Response {
     Json(app.board.state()).into_response()
-}
-
-async fn answered(answer: oneshot::Receiver<Result<Value, String>>, patience: Duration) -> Answer {
-    match timeout(patience, answer).await {
-        Ok(Ok(Ok(value))) => Ok(Json(value)),
-        Ok(Ok(Err(why))) => Err(conflict(why)),
-        Ok(Err(_)) => Err(Refused(StatusCode::SERVICE_UNAVAILABLE, "the server is ending".to_owned())),
-        Err(_) => {
-            Err(Refused(StatusCode::GATEWAY_TIMEOUT, "the board has not answered yet: look at its state".to_owned()))
-        }
-    }
 }
 
 async fn stop(State(app): State<Arc<App>>, Json(Nothing {}): Json<Nothing>) -> Answer {
@@ -141,13 +101,6 @@ async fn release(State(app): State<Arc<App>>, Json(Page { page }): Json<Page>) -
     Ok(Json(json!({ "held": false })))
 }
 
-/// Hands something over for the page that holds the motor.
-pub(super) async fn command(app: &App, page: &str, command: Command) -> Answer {
-    app.holder.check(page, app.board.command_timeout()).map_err(conflict)?;
-    let answer = app.owner.ask(command).map_err(conflict)?;
-    answered(answer, ANSWER).await
-}
-
 async fn clear(State(app): State<Arc<App>>, Json(Page { page }): Json<Page>) -> Answer {
     command(&app, &page, Command::Clear).await
 }
@@ -168,11 +121,6 @@ async fn run(State(app): State<Arc<App>>, Json(Asked { page, what }): Json<Asked
     let name = recording.file_name().map(|name| name.to_string_lossy().into_owned());
     _ = command(&app, &page, Command::Run { action, what: what.word().to_owned(), recording }).await?;
     Ok(Json(json!({ "accepted": true, "recording": name })))
-}
-
-/// The board's configuration; the default where it has none.
-pub(super) fn in_force(app: &App) -> Configuration {
-    app.board.configuration().unwrap_or(Configuration::with_control(ConfigSpec::DEFAULT))
 }
 
 async fn configuration(State(app): State<Arc<App>>) -> Answer {
@@ -213,9 +161,4 @@ async fn configure(State(app): State<Arc<App>>, Json(Asked { page, what }): Json
         if keys.is_empty() { "as before".to_owned() } else { keys.join(", ") }
     ));
     Ok(Json(json!({ "changed": keys })))
-}
-
-/// The name of a place in messages: its last part.
-pub(super) fn last_part(path: &Path) -> String {
-    path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }

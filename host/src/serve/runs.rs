@@ -2,8 +2,8 @@
 //! of its own, one at a time.
 
 use super::App;
+use super::answer::{Answer, Refused, last_part};
 use super::folder::NOTES;
-use super::routes::{Answer, Refused, last_part};
 use crate::compare::replay::replay_recording;
 use crate::plot::{measurement_figure, recording_figure, timing_panel};
 use crate::record::load::load_runs;

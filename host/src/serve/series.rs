@@ -1,7 +1,6 @@
 //! A planned series of runs in a folder, made one after the other: what `twum experiment run` makes, with the same files.
 
 use super::board::{Board, Doing, Ended};
-use super::owner::Failed;
 use crate::link::LinkError;
 use crate::link::bench::{Action, Outcome};
 use crate::record::series::{Series, SeriesRun};
@@ -100,4 +99,28 @@ pub fn speed_run(run: &SeriesRun) -> Result<SpeedRun, String> {
     }
     let direction = if run.direction == "cw" { Direction::Cw } else { Direction::Ccw };
     Ok(SpeedRun { duty, direction, duration_ms: (run.seconds * 1e3).round() as u32 })
+}
+
+/// Why a run was not made.
+#[derive(Debug)]
+pub enum Failed {
+    /// The link's reason.
+    Link(LinkError),
+    /// Board and motor do not go together.
+    Motor(String),
+}
+
+impl From<LinkError> for Failed {
+    fn from(error: LinkError) -> Self {
+        Self::Link(error)
+    }
+}
+
+impl std::fmt::Display for Failed {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Link(error) => error.fmt(f),
+            Self::Motor(words) => f.write_str(words),
+        }
+    }
 }

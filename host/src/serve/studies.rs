@@ -2,8 +2,8 @@
 //! processor when nobody else wants it, is ended by a click, and cannot bring down the server that owns the port.
 
 use super::App;
+use super::answer::{Answer, Refused, command, in_force};
 use super::owner::Command as Order;
-use super::routes::{self, Answer, Refused};
 use super::series::{Task, speed_run};
 use crate::diagnose::plan::first_experiment;
 use crate::record::series::{Series, SeriesRun};
@@ -213,9 +213,9 @@ fn begin(app: &Arc<App>, question: &Question) -> Result<u64, String> {
     desk.pages = Some(pages);
     let words = question.words(app, &page)?;
     let program = std::env::current_exe().map_err(failed)?;
-    let mut command = Command::new("nice");
-    command.args(["-n", "10"]).arg(&program).args(&words).stdin(Stdio::null());
-    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(failed)?;
+    let mut nice = Command::new("nice");
+    nice.args(["-n", "10"]).arg(&program).args(&words).stdin(Stdio::null());
+    let mut child = nice.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(failed)?;
     let (out, err) = (child.stdout.take(), child.stderr.take());
     desk.made = number;
     desk.child = Some(child);
@@ -333,7 +333,7 @@ async fn page(State(app): State<Arc<App>>, Query(which): Query<Which>) -> Respon
                           img-src data:; frame-ancestors 'self'";
             ([(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, policy)], html).into_response()
         }
-        _ => routes::Refused(StatusCode::NOT_FOUND, "this study has no page".to_owned()).into_response(),
+        _ => Refused(StatusCode::NOT_FOUND, "this study has no page".to_owned()).into_response(),
     }
 }
 
@@ -360,7 +360,7 @@ async fn plan(State(app): State<Arc<App>>, Json(table): Json<Table>) -> Answer {
     if !sound || table.duties.is_empty() || table.duties.len().saturating_mul(table.trials) > PLANNED / 2 {
         return Err(format!("duties are 0 to 1, seconds 0.001 to 3600, and at most {PLANNED} runs make a plan").into());
     }
-    let pwm_hz = f64::from(routes::in_force(&app).pwm_hz);
+    let pwm_hz = f64::from(in_force(&app).pwm_hz);
     let planned = first_experiment(&table.duties, table.trials, table.seconds, pwm_hz);
     let runs: Vec<SeriesRun> = planned
         .iter()
@@ -409,5 +409,5 @@ async fn run(State(app): State<Arc<App>>, Json(wanted): Json<Wanted>) -> Answer 
     for run in series.runs() {
         speed_run(run)?;
     }
-    routes::command(&app, &wanted.page, Order::Series(Box::new(Task { name: wanted.name, series }))).await
+    command(&app, &wanted.page, Order::Series(Box::new(Task { name: wanted.name, series }))).await
 }
