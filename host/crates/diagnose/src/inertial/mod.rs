@@ -6,8 +6,8 @@
 
 pub mod map;
 
+use super::design::RunDesign;
 use super::finding::{Estimate, Finding, Status, Unknown};
-use super::problem::RunDesign;
 use super::stats::{Fold, Grams, Group, HeldOut, p_value};
 use super::verdict::{LARGEST_P, LEAST_GAIN};
 use map::{Map, Shape, Top, VALUES};
