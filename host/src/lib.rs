@@ -7,6 +7,7 @@ pub mod demo;
 pub mod live;
 pub mod plot;
 pub mod report;
+pub mod serve;
 
 pub use twum_board::{link, sim};
 pub use twum_diagnose as diagnose;

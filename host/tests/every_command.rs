@@ -100,7 +100,7 @@ use Says::{Json, Refused, Serves, Slow, Text};
 
 /// A line of every command. `PORT` is a configured board on a pseudo-terminal, `NEW` a name that is not taken, `EXAMPLES` the folder of
 /// examples.
-const LINES: [(Says, &str); 47] = [
+const LINES: [(Says, &str); 48] = [
     (Json, "align --port sim"),
     (Json, "capture --port sim --seconds 0.2 --out NEW.mcap"),
     (Json, "compare run.mcap --flavour physical"),
@@ -143,6 +143,7 @@ const LINES: [(Says, &str); 47] = [
     (Json, "ports"),
     (Json, "reboot --port sim"),
     (Json, "replay run.mcap"),
+    (Serves, "serve --port sim --listen 127.0.0.1:0 --folder NEW"),
     (Serves, "sim --pty"),
     (Json, "speed --port sim --duty 0.5 --seconds 0.5"),
     (Json, "stop --port sim"),

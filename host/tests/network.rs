@@ -64,6 +64,20 @@ fn the_simulated_instruments_listen_on_loopback_only() {
 }
 
 #[test]
+fn the_bench_is_served_on_loopback_only_unless_another_address_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = folder.path().join("runs");
+    for (listen, seen) in [("127.0.0.1:0", "0100007F:"), ("0.0.0.0:0", "00000000:")] {
+        let (bench, line) =
+            serving(&["serve", "--port", "sim", "--listen", listen, "--folder", runs.to_str().unwrap()]);
+        assert_eq!(line.contains("#token="), listen != "127.0.0.1:0", "{line}");
+        let sockets = internet_sockets(bench.0.id());
+        let listening: Vec<_> = sockets.iter().filter(|(_, _, state)| state == "0A").collect();
+        assert!(listening.len() == 1 && listening[0].1.starts_with(seen), "{sockets:?}");
+    }
+}
+
+#[test]
 fn a_simulated_board_opens_no_internet_socket() {
     let (board, port) = serving(&["sim", "--pty"]);
     assert!(port.starts_with("/dev/"), "{port}");
@@ -112,15 +126,17 @@ fn what_listens_in_the_program_is_known() {
     for part in std::fs::read_dir(host.join("crates")).unwrap().flatten() {
         visit(&part.path().join("src"), &mut found);
     }
-    // The simulated instruments, the door of the live server, a unit test of it (which names its address to its library), and one of an
+    // The server of the bench, the simulated instruments, the door of the live server, a unit test of it (which names its address to its library), and one of an
     // instrument that never stops talking.
     found.sort();
     // Those by the name of a file are the stop socket in the user's own runtime directory: nothing on a network.
     let known = [
         "UnixListener::bind(path)?",
+        "let listener = TcpListener::bind(&*addresses).map_err(failed)?;",
         "let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;",
         "let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;",
         "let listener = match UnixListener::bind(path) {",
+        "let listener = tokio::net::TcpListener::from_std(listener).map_err(ServeError::System)?;",
         "let server = std::net::TcpListener::bind(\"127.0.0.1:0\").unwrap();",
         "let taken = std::net::TcpListener::bind((LOOPBACK, 0)).unwrap();",
     ];

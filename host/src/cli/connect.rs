@@ -79,7 +79,13 @@ impl ConnectArgs {
         Ok(self.serial(&port)?)
     }
 
-    fn serial(&self, port: &str) -> Result<Box<dyn Port>, LinkError> {
+    /// Which motor is there, or which one to simulate.
+    pub fn motor_args(&self) -> &MotorArgs {
+        &self.motor
+    }
+
+    /// Opens a serial port, through which other programs of this user reach the board too.
+    pub fn serial(&self, port: &str) -> Result<Box<dyn Port>, LinkError> {
         Ok(Box::new(relay::Relay::new(SerialLink::open(port, self.reset)?, port)))
     }
 

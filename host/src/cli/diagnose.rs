@@ -59,6 +59,9 @@ pub struct Args {
     /// A first look: fewer runs, shorter, a smaller null (the answer says what was left out)
     #[arg(long)]
     quick: bool,
+    /// Say on stderr what it is doing, a line each: `progress SHARE WHAT`
+    #[arg(long, hide = true)]
+    progress: bool,
 }
 
 /// The runs of a measurement folder or a recording, and what was lost of them.
@@ -129,6 +132,9 @@ pub fn run(args: Args) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let (mut diagnosis, details) = diagnose(&measurements, &options, &|what, share| {
+        if args.progress {
+            eprintln!("progress {share:.3} {what}");
+        }
         bar.set_message(what.to_owned());
         bar.set_position((share * 100.0) as u64);
     })?;

@@ -150,16 +150,7 @@ fn plan(args: &PlanArgs) -> Result<ExitCode> {
 
 /// The plan as the folder keeps it.
 fn series_of(runs: &[PlannedRun]) -> Vec<SeriesRun> {
-    let run = |(number, run): (usize, &PlannedRun)| SeriesRun {
-        id: run.id(number),
-        duty: run.duty,
-        direction: run.direction.to_owned(),
-        pwm_hz: run.pwm_hz,
-        seconds: run.seconds,
-        pause_s: run.pause_s,
-        why: run.why.clone(),
-    };
-    runs.iter().enumerate().map(run).collect()
+    runs.iter().enumerate().map(|(number, run)| run.in_series(number)).collect()
 }
 
 impl Wanted {

@@ -31,6 +31,7 @@ mod ports;
 mod reboot;
 mod replay;
 mod run;
+mod serve;
 mod signals;
 mod sim;
 mod speed;
@@ -117,6 +118,8 @@ enum Command {
     Reboot(reboot::Args),
     /// Check a recording bit for bit against the fixed-point step
     Replay(replay::Args),
+    /// Serve the bench to browsers
+    Serve(serve::Args),
     /// Serve a simulated board
     Sim(sim::Args),
     /// Run the motor at a constant duty
@@ -160,6 +163,7 @@ impl Cli {
             Command::Ports(args) => ports::run(args),
             Command::Reboot(args) => reboot::run(args),
             Command::Replay(args) => replay::run(args),
+            Command::Serve(args) => serve::run(args),
             Command::Sim(args) => sim::run(args),
             Command::Speed(args) => speed::run(args),
             Command::Stop(args) => stop::run(args),

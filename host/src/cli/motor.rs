@@ -12,7 +12,7 @@ const DEFAULT_MOTOR: &str = "pcbmotor-30mm";
 const SIMPLE: &str = "simple";
 
 /// Which motor is there, or which one to simulate.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct MotorArgs {
     /// Motor on the bench, a shipped one or a motor file: its content is kept in the recording. With `--port sim` the one
     /// simulated [default: the one the board simulates, or pcbmotor-30mm]

@@ -4,7 +4,7 @@ mod encoder;
 mod recording;
 mod trace;
 
-pub use recording::recording_figure;
+pub use recording::{recording_figure, timing_panel};
 
 use crate::record::measurement::{self, DriveResponse, Measurement, Run, RunData};
 use crate::record::store::StoreError;

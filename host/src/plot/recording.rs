@@ -74,6 +74,33 @@ pub fn recording_figure(path: &Path, title: &str) -> Result<(Figure, Vec<String>
     Ok((drawn.figure(title), recording.losses()))
 }
 
+/// How late every control tick began and how long the one before took; nothing where no tick was recorded.
+///
+/// # Errors
+/// As [`recording_figure`].
+pub fn timing_panel(path: &Path) -> Result<Option<Panel>, PlotError> {
+    let mut survey = Survey::default();
+    let recording = Recording::read_in_pieces(Decoder::open(path)?, |piece, _| survey.take(&piece))?;
+    let ends = (0..).zip(&recording.sessions).map(|(index, session)| time_s(&recording, index, session.end_us));
+    let span_s = ends.fold(0.0, f64::max);
+    let first = survey.first_us.iter().map(|(session, first_us)| time_s(&recording, *session, *first_us));
+    let begin_s = first.fold(f64::INFINITY, f64::min).min(span_s);
+    let (mut late, mut took) = (Trace::new(span_s), Trace::new(span_s));
+    Recording::read_in_pieces(Decoder::open(path)?, |piece, goes_on| {
+        let Piece::Control(segment) = piece else { return };
+        if !goes_on {
+            [&mut late, &mut took].into_iter().for_each(Trace::gap);
+        }
+        for (index, sample) in segment.samples.iter().enumerate() {
+            let at_s = time_s(&recording, segment.session, segment.time_us(index));
+            late.push(at_s, sample.late_us.into());
+            took.push(at_s, sample.duration_us.into());
+        }
+    })?;
+    let panel = || Panel::new("time (s)", "tick (µs)").line("late", &late.done()).line("took", &took.done());
+    Ok((survey.ticks > 0).then(panel).map(|panel| panel.x_range(begin_s, span_s)))
+}
+
 /// The lines, while they are drawn.
 struct Drawn<'a> {
     recording: &'a Recording,

@@ -2,6 +2,7 @@
 
 use super::answer::Diagnosis;
 use twum_record::measurement::{Direction, Measurement, RunKind};
+use twum_record::series::SeriesRun;
 
 /// A run worth making.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -24,6 +25,19 @@ impl PlannedRun {
     /// Identifier, unique within a plan by its number.
     pub fn id(&self, number: usize) -> String {
         format!("{number:03}-d{:03.0}-{}-{:.0}hz", 100.0 * self.duty, self.direction, self.pwm_hz)
+    }
+
+    /// The run as a series keeps it.
+    pub fn in_series(&self, number: usize) -> SeriesRun {
+        SeriesRun {
+            id: self.id(number),
+            duty: self.duty,
+            direction: self.direction.to_owned(),
+            pwm_hz: self.pwm_hz,
+            seconds: self.seconds,
+            pause_s: self.pause_s,
+            why: self.why.clone(),
+        }
     }
 
     /// The command that makes it.

@@ -6,6 +6,7 @@
 mod axis;
 mod draw;
 pub mod interactive;
+mod over;
 mod trace;
 
 use crate::output::OutputError;

@@ -1,0 +1,383 @@
+//! The one thread that owns the board's port. It does what the command line does, with the same [`perform`]; pages hand it one
+//! thing to do at a time. A stop waits for nothing: it ends what is going on and is sent whatever the board says of itself.
+
+use super::board::{Board, Doing, Ended};
+use super::series::{self, Failed, Task};
+use super::tap::Tap;
+use crate::link::bench::{Action, Experiment, Outcome, align, perform};
+use crate::link::{LinkError, Port, Session};
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+use tokio::sync::oneshot;
+use twum_shared::message::{CaptureMode, Configuration, RunEnd};
+use twum_shared::step::ConfigSpec;
+
+/// A command or a stop is seen within this time while nothing is going on.
+const SLICE: Duration = Duration::from_millis(5);
+/// A port that is away is tried again this often.
+const RETRY: Duration = Duration::from_millis(500);
+/// Every stream.
+pub(super) const ALL_STREAMS: CaptureMode = CaptureMode { bits: true, edges: true, control: true };
+
+/// The port as the owner uses it.
+pub type OwnPort = Tap<Box<dyn Port>>;
+
+/// How to reach the board, and what its recordings keep of its motor.
+pub trait Bench: Send {
+    /// Opens the port.
+    ///
+    /// # Errors
+    /// When it cannot be opened.
+    fn open(&mut self) -> Result<Box<dyn Port>, LinkError>;
+
+    /// What a recording keeps of the motor of a board that says to be `chip` and runs with `used`.
+    ///
+    /// # Errors
+    /// In a sentence, when the two do not go together.
+    fn motor(&self, chip: &str, used: &Configuration) -> Result<String, String>;
+}
+
+/// What a page may ask for.
+#[derive(Debug)]
+pub enum Command {
+    /// A run, recorded.
+    Run {
+        /// What to do.
+        action: Action,
+        /// What it is called.
+        what: String,
+        /// Where to record.
+        recording: PathBuf,
+    },
+    /// Find the beginning of an encoder pulse.
+    Align,
+    /// Allow runs.
+    Arm,
+    /// Stop, and clear a latched fault.
+    Clear,
+    /// Give the board another configuration.
+    Configure(Box<Configuration>),
+    /// Make the runs of a series that are not made yet.
+    Series(Box<Task>),
+}
+
+type Answer = Result<Value, String>;
+
+#[derive(Default)]
+struct Desk {
+    command: Option<(Command, oneshot::Sender<Answer>)>,
+    is_busy: bool,
+    stops: Vec<oneshot::Sender<Answer>>,
+}
+
+/// The way to the thread.
+pub struct Owner {
+    desk: Mutex<Desk>,
+    board: Arc<Board>,
+    /// Ends every wait of the session but those that stop the motor.
+    stop: &'static AtomicBool,
+    quit: AtomicBool,
+}
+
+impl Owner {
+    /// Starts the thread.
+    pub fn start(bench: Box<dyn Bench>, board: Arc<Board>) -> (Arc<Self>, JoinHandle<()>) {
+        // A session keeps its flag for as long as the program lives; there is one owner a program.
+        let stop = Box::leak(Box::new(AtomicBool::new(false)));
+        let owner = Arc::new(Self { desk: Mutex::default(), board, stop, quit: AtomicBool::new(false) });
+        let thread = Arc::clone(&owner);
+        let thread = std::thread::spawn(move || Thread { owner: thread, bench }.work());
+        (owner, thread)
+    }
+
+    fn desk(&self) -> MutexGuard<'_, Desk> {
+        self.desk.lock().expect("nothing panics while it holds the desk")
+    }
+
+    /// Hands over something to do; the answer comes when it is taken, or when it is done if that takes no time.
+    ///
+    /// # Errors
+    /// When something else is going on.
+    pub fn ask(&self, command: Command) -> Result<oneshot::Receiver<Answer>, String> {
+        let mut desk = self.desk();
+        if desk.is_busy || desk.command.is_some() || self.stop.load(Ordering::Relaxed) {
+            return Err("something is going on: wait for its end, or stop it".to_owned());
+        }
+        let (sender, answer) = oneshot::channel();
+        desk.command = Some((command, sender));
+        Ok(answer)
+    }
+
+    /// Stops the motor; a latched fault stays. Answers when it has been seen to stand.
+    pub fn stop(&self) -> oneshot::Receiver<Answer> {
+        let (sender, answer) = oneshot::channel();
+        let mut desk = self.desk();
+        if let Some((_, asked)) = desk.command.take() {
+            // Whoever asked may be gone.
+            let _ = asked.send(Err("a stop came before it".to_owned()));
+        }
+        desk.stops.push(sender);
+        self.stop.store(true, Ordering::Relaxed);
+        answer
+    }
+
+    /// Stops the motor and ends the thread.
+    pub fn quit(&self) {
+        self.quit.store(true, Ordering::Relaxed);
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    fn is_stopping(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    fn has_to_quit(&self) -> bool {
+        self.quit.load(Ordering::Relaxed)
+    }
+
+    fn take(&self) -> Option<(Command, oneshot::Sender<Answer>)> {
+        let mut desk = self.desk();
+        let taken = desk.command.take();
+        desk.is_busy = taken.is_some();
+        taken
+    }
+
+    fn is_free_again(&self) {
+        self.desk().is_busy = false;
+    }
+}
+
+struct Thread {
+    owner: Arc<Owner>,
+    bench: Box<dyn Bench>,
+}
+
+/// Why a session ended.
+enum Over {
+    Quit,
+    Lost(LinkError),
+}
+
+impl Thread {
+    fn work(&mut self) {
+        while !self.owner.has_to_quit() {
+            let over = match self.connect() {
+                Ok(mut session) => {
+                    self.owner.board.say(format!("{} answers", self.owner.board.state().port));
+                    self.serve(&mut session)
+                }
+                Err(error) => Over::Lost(error),
+            };
+            if let Over::Lost(error) = over {
+                self.owner.board.lost(&error.to_string());
+                self.wait_for_the_port(&error.to_string());
+            }
+        }
+    }
+
+    fn open(&mut self) -> Result<OwnPort, LinkError> {
+        Ok(Tap::new(self.bench.open()?, Arc::clone(&self.owner.board)))
+    }
+
+    fn connect(&mut self) -> Result<Session<OwnPort>, LinkError> {
+        let mut session = Session::new(self.open()?);
+        session.interrupt_by(self.owner.stop);
+        session.hello()?;
+        let configuration = session.configuration()?;
+        self.owner.board.connected(configuration);
+        Ok(session)
+    }
+
+    /// Nothing can be done meanwhile, and whoever asks is told so.
+    fn wait_for_the_port(&self, why: &str) {
+        let until = Instant::now() + RETRY;
+        while Instant::now() < until && !self.owner.has_to_quit() {
+            if let Some((_, answer)) = self.owner.take() {
+                let _ = answer.send(Err(why.to_owned()));
+                self.owner.is_free_again();
+            }
+            if self.owner.is_stopping() {
+                let unheard = format!(
+                    "the board cannot be told: {why}. A board that hears nothing switches off by itself within its command \
+                     timeout; look at the motor, and cut its power if it turns"
+                );
+                self.answer_stops(&Err(unheard));
+            }
+            std::thread::sleep(SLICE);
+        }
+    }
+
+    fn answer_stops(&self, answer: &Answer) {
+        let stops = {
+            let mut desk = self.owner.desk();
+            self.owner.stop.store(false, Ordering::Relaxed);
+            std::mem::take(&mut desk.stops)
+        };
+        for stop in stops {
+            let _ = stop.send(answer.clone());
+        }
+    }
+
+    fn serve(&mut self, session: &mut Session<OwnPort>) -> Over {
+        loop {
+            if self.owner.is_stopping() {
+                let halted = session.halt();
+                self.answer_stops(&halted.as_ref().map(|()| json!({ "stopped": true })).map_err(ToString::to_string));
+                if let Err(error @ LinkError::Lost { .. }) = halted {
+                    return Over::Lost(error);
+                }
+            }
+            if self.owner.has_to_quit() {
+                return Over::Quit;
+            }
+            if let Some((command, answer)) = self.owner.take() {
+                let result = self.obey(session, command, answer);
+                self.owner.is_free_again();
+                if let Err(error @ LinkError::Lost { .. }) = result {
+                    return Over::Lost(error);
+                }
+            }
+            match session.next(SLICE) {
+                Ok(_) | Err(LinkError::Interrupted) => {}
+                Err(LinkError::Restarted) => self.owner.board.say(LinkError::Restarted.to_string()),
+                Err(error) => return Over::Lost(error),
+            }
+        }
+    }
+
+    /// Does what is asked. The error is the link's, for whoever has to open it again; the page has been told.
+    fn obey(
+        &mut self,
+        session: &mut Session<OwnPort>,
+        command: Command,
+        answer: oneshot::Sender<Answer>,
+    ) -> Result<(), LinkError> {
+        let board = Arc::clone(&self.owner.board);
+        let accept = |answer: oneshot::Sender<Answer>| _ = answer.send(Ok(json!({ "accepted": true })));
+        let result = match command {
+            Command::Run { action, what, recording } => {
+                accept(answer);
+                return self.run(session, action, &what, recording);
+            }
+            Command::Series(task) => {
+                accept(answer);
+                return self.series(session, *task);
+            }
+            Command::Align => {
+                accept(answer);
+                board.doing(Some(Doing {
+                    what: "aligning".to_owned(),
+                    recording: None,
+                    seconds: None,
+                    elapsed_s: 0.0,
+                }));
+                let result = session.let_go().and_then(|()| align(session));
+                let words = result.as_ref().map_or_else(
+                    |error| format!("not aligned: {error}"),
+                    |()| {
+                        "aligned: the rotor stands at the beginning of an encoder pulse, and counts as zero".to_owned()
+                    },
+                );
+                board.ended(Ended { recording: None, ok: result.is_ok(), words });
+                return result;
+            }
+            Command::Arm => session.arm(),
+            Command::Clear => session.stop(),
+            Command::Configure(configuration) => session.let_go().and_then(|()| session.configure(*configuration)),
+        };
+        let told = result.as_ref().map(|()| json!({ "done": true })).map_err(ToString::to_string);
+        if let Err(words) = &told {
+            board.say(words.clone());
+        }
+        let _ = answer.send(told);
+        result
+    }
+
+    fn run(
+        &mut self,
+        session: &mut Session<OwnPort>,
+        action: Action,
+        what: &str,
+        recording: PathBuf,
+    ) -> Result<(), LinkError> {
+        let board = Arc::clone(&self.owner.board);
+        let name = recording.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let seconds = match &action {
+            Action::Speed(run) => Some(f64::from(run.duration_ms) * 1e-3),
+            Action::Track(run) => Some(f64::from(run.duration_ms) * 1e-3),
+            Action::Watch(length) => Some(length.as_secs_f64()),
+            Action::Driver(_) => None,
+        };
+        board.doing(Some(Doing { what: what.to_owned(), recording: name.clone(), seconds, elapsed_s: 0.0 }));
+        let used = board.configuration().unwrap_or(Configuration::with_control(ConfigSpec::DEFAULT));
+        let path = recording.clone();
+        let result = self.record(session, used, action, recording);
+        let (ok, words) = match &result {
+            Ok(outcome) => words_of(outcome),
+            Err(Failed::Link(error)) => (false, error.to_string()),
+            Err(Failed::Motor(words)) => (false, words.clone()),
+        };
+        let recording = name.filter(|_| path.exists());
+        board.ended(Ended { recording, ok, words: format!("{what}: {words}") });
+        match result {
+            Err(Failed::Link(error)) => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// Performs one run with a configuration, and records it.
+    fn record(
+        &mut self,
+        session: &mut Session<OwnPort>,
+        used: Configuration,
+        action: Action,
+        recording: PathBuf,
+    ) -> Result<Outcome, Failed> {
+        // A board that this session has armed takes no configuration.
+        session.let_go()?;
+        let chip = session.hello()?.chip;
+        let motor = self.bench.motor(&chip, &used).map_err(Failed::Motor)?;
+        let experiment =
+            Experiment { configuration: Some(used), capture: ALL_STREAMS, action, recording: Some(recording), motor };
+        let mut reopen = || self.open();
+        Ok(perform(session, &experiment, Some(&mut reopen), |_| {})?)
+    }
+
+    fn series(&mut self, session: &mut Session<OwnPort>, task: Task) -> Result<(), LinkError> {
+        let board = Arc::clone(&self.owner.board);
+        let own = board.configuration().unwrap_or(Configuration::with_control(ConfigSpec::DEFAULT));
+        let ended = series::make(&task, &board, own, &mut |used, action, recording, pause| {
+            session.rest(pause)?;
+            self.record(session, used, action, recording)
+        });
+        let restored = session.let_go().and_then(|()| session.configure(own));
+        board.ended(ended);
+        restored
+    }
+}
+
+/// Whether a run came to its end, and how it went.
+fn words_of(outcome: &Outcome) -> (bool, String) {
+    let end = outcome.cut().map_or_else(
+        || "completed".to_owned(),
+        |why| match why {
+            LinkError::Interrupted => "stopped".to_owned(),
+            other => other.to_string(),
+        },
+    );
+    let tally = outcome.tally;
+    let lost = if tally.is_lossless() {
+        "none lost".to_owned()
+    } else {
+        format!(
+            "{} LOST, {} bad, {} restarts, {} reconnects; the recording marks where",
+            tally.lost, tally.bad, tally.restarts, tally.reconnects
+        )
+    };
+    let ok = matches!(outcome.run.map(|run| run.end), Some(RunEnd::Completed)) && tally.is_lossless();
+    (ok, format!("{end}; {} frames recorded, {lost}", outcome.recorded))
+}
