@@ -86,6 +86,9 @@ fn edges(lines: &mut Lines, budget: &mut Budget) -> Result<RunData, MeasurementE
     Ok(RunData::Edges { initial: first.level, start_us: first.time_us, edges, end_us })
 }
 
+/// Ten times what an ultracentrifuge reaches: beyond, a speed is another unit's or a damaged table's, and its square may be no number.
+const FASTEST_RPM: f64 = 1e7;
+
 fn velocity(lines: &mut Lines, budget: &mut Budget) -> Result<RunData, MeasurementError> {
     lines.header(&["time_us,rpm"])?;
     let mut clock = Clock::default();
@@ -93,7 +96,11 @@ fn velocity(lines: &mut Lines, budget: &mut Budget) -> Result<RunData, Measureme
     while lines.advance()? {
         let [time, speed] = lines.fields::<2>()?;
         budget.push(&mut time_us, lines.time(time, &mut clock)?, lines)?;
-        budget.push(&mut rpm, lines.number(speed, "rpm")?, lines)?;
+        let speed = match lines.number(speed, "rpm")? {
+            value if value.abs() <= FASTEST_RPM => value,
+            value => return Err(lines.error(speed.column, format!("{value:e} rpm: no motor turns that fast"))),
+        };
+        budget.push(&mut rpm, speed, lines)?;
     }
     two_rows(lines, time_us.len())?;
     Ok(RunData::Velocity { time_us, rpm })
