@@ -128,6 +128,15 @@ impl Data {
         }
     }
 
+    /// Whether every run's input goes from one end of its range to the other and no more: its time then says nothing that it does not.
+    pub fn passes_once(&self) -> bool {
+        self.runs.iter().all(|run| {
+            let (low, high) = run.input.iter().fold((f64::MAX, f64::MIN), |(a, b), u| (a.min(*u), b.max(*u)));
+            let way: f64 = run.input.windows(2).map(|w| (w[1] - w[0]).abs()).sum();
+            way < 1.5 * (high - low)
+        })
+    }
+
     /// How many speeds are compared.
     pub fn rows(&self) -> usize {
         self.runs.iter().map(|r| r.rpm.len()).sum()

@@ -41,6 +41,9 @@ fn not_judged_reason(name: &str, data: &Data) -> Option<String> {
     match name {
         "direction-asymmetry" | "load-bias" if !both => Some("needs inputs of both signs".to_owned()),
         "direction-asymmetry" | "load-bias" if data.unsigned => Some("needs a speed with its sign".to_owned()),
+        "dead-time" | "second-lag" if data.passes_once() => {
+            Some("needs an input that comes back: over one pass a delay looks like a threshold".to_owned())
+        }
         _ => None,
     }
 }

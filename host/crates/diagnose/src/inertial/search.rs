@@ -52,6 +52,9 @@ impl Ground<'_> {
             pool[at].expanded = true;
             let from = pool[at].clone();
             self.expand(&from, if round == 0 { self.usable.len() } else { TRIED }, &mut pool);
+            if round == 0 {
+                self.zone_under_a_bend(&from, &mut pool);
+            }
             self.remove(&mut pool);
             self.exchange(&mut pool);
             self.reform(&mut pool);
@@ -189,6 +192,29 @@ impl Ground<'_> {
             }
         }
         begun
+    }
+
+    /// A dead zone and a bend together: each hides the other, so that neither alone leads to both.
+    fn zone_under_a_bend(&self, root: &Set, pool: &mut Vec<Set>) {
+        let of = |p: P| self.usable.iter().copied().find(|e| EFFECTS[*e].forms[0].numbers[0] == p);
+        let (Some(zone), Some(bend)) = (of(P::DeadZone), of(P::Bend)) else { return };
+        let parts = vec![Part { effect: zone, form: 0 }, Part { effect: bend, form: 0 }];
+        let (free, noise) = (self.free(&parts), self.noise(&root.plant));
+        let value = |p: &Plant| misfit(self.data, p, &free, noise, &[]);
+        let begun = self.begin(&root.plant, parts[0]).into_iter().flat_map(|plant| {
+            [1.0, 3.0, 6.0].map(|b| {
+                let values = plant.values.with(P::Bend, b);
+                self.with_gain(Plant { values, starts: plant.starts.clone() })
+            })
+        });
+        let mut begun: Vec<(f64, Plant)> = begun.map(|p| (value(&p), p)).collect();
+        begun.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let near = begun.into_par_iter().take(STARTS).map(|(_, p)| refit(self.data, p, &free, noise, &[], LOOK));
+        let near = near.map(|p| (value(&p), p)).min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, plant)) = near {
+            let plant = self.refitted(plant, &parts);
+            keep(pool, self.weigh_set(parts, plant, Some(root)));
+        }
     }
 
     /// Sets that lack one effect of the best.

@@ -45,7 +45,7 @@ impl Terms {
             term("the time after a change of the input", ECHOES, false, FREE_FORM_COST),
         ];
         // Where each input is passed but once, its time says nothing that the input does not.
-        if !data.runs.iter().all(passes_once) {
+        if !data.passes_once() {
             all.push(term("time", TIME_KNOTS, false, TERM_COST));
             all.push(term("time, each run its own", WANDER_KNOTS, true, TERM_COST));
         }
@@ -98,13 +98,6 @@ impl Terms {
             to.iter_mut().for_each(|v| *v *= data.usual_rpm);
         }
     }
-}
-
-/// Whether a run's input goes from one end of its range to the other and no more.
-fn passes_once(run: &DriveRun) -> bool {
-    let (low, high) = run.input.iter().fold((f64::MAX, f64::MIN), |(a, b), u| (a.min(*u), b.max(*u)));
-    let way: f64 = run.input.windows(2).map(|w| (w[1] - w[0]).abs()).sum();
-    way < 1.5 * (high - low)
 }
 
 /// Piecewise linear basis functions over 0..1.
