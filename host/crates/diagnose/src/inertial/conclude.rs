@@ -2,7 +2,7 @@
 
 use super::super::finding::{Estimate, Finding, Status, Unknown};
 use super::super::stats::HeldOut;
-use super::super::verdict::{Background, Judgement, LARGEST_P, TEMPERATURE, Visited, judge};
+use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, TEMPERATURE, Visited, judge};
 use super::data::Data;
 use super::effects::{Coordinate, EFFECTS, twin};
 use super::fit::Plant;
@@ -96,10 +96,12 @@ impl Standing {
         let ground = scorer.ground;
         // Where noise alone is left, no form is wrong.
         let form_counts = memory(ground.data, &visited[0].plant) > MOST_MEMORY_OF_NOISE;
+        // Over one slow pass friction and a dead zone are one thing, whatever the form of what lies above.
+        let one_pass = ground.data.passes_once();
         let background = Background {
             temperature: TEMPERATURE,
-            alike: &|named, rival| form_counts && alike(named, rival),
-            clear_lead: CLEAR_LEAD,
+            alike: &|named, rival| (form_counts || one_pass) && alike(named, rival),
+            clear_lead: if one_pass { f64::INFINITY } else { CLEAR_LEAD },
             within_runs: &|_| true,
             log_prior_of_spread: &|k, tau| ground.level.log_prior_of(k, tau),
         };
@@ -165,8 +167,9 @@ fn seen_once(judged: &mut Judgement) {
 /// An effect that does not for certain help where it was not fitted, with those that it cannot be told from; empty if all do.
 fn uncertain_effects(scorer: &Scorer, sets: &[Set], root: &Set, judged: &Judgement, seed: u64) -> Vec<usize> {
     let lead = |effect: usize| {
+        let group = judged.set_of(effect).cloned().unwrap_or_else(|| vec![effect]);
         let best = |with: bool| {
-            let of = sets.iter().filter(|s| s.key().contains(&effect) == with);
+            let of = sets.iter().filter(|s| s.key().iter().any(|e| group.contains(e)) == with);
             of.map(|s| s.score).fold(f64::NEG_INFINITY, f64::max)
         };
         best(true) - best(false)
@@ -176,7 +179,8 @@ fn uncertain_effects(scorer: &Scorer, sets: &[Set], root: &Set, judged: &Judgeme
     let doubtful = (0..accepted.parts.len()).find(|k| {
         lead(accepted.parts[*k].effect) < BEYOND_DOUBT && {
             let less = scorer.held_out(&scorer.ground.without(accepted, *k, sets));
-            less.against(&all).gain_interval(seed)[0] <= 0.0
+            let held = less.against(&all);
+            held.gain() < LEAST_GAIN && held.gain_interval(seed)[0] <= 0.0
         }
     });
     let effect = doubtful.map(|k| accepted.parts[k].effect);
@@ -229,7 +233,7 @@ impl View<'_> {
         let could_be_none = parameters.iter().all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
         Finding {
             name: effect.name.to_owned(),
-            status: match (ambiguous || could_be_none, effect.own) {
+            status: match (ambiguous || could_be_none || held.gain_interval(self.seed)[0] <= 0.0, effect.own) {
                 (true, _) => Status::Ambiguous,
                 (false, true) => Status::Rejected,
                 (false, false) => Status::Named,

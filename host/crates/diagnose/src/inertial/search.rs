@@ -213,7 +213,10 @@ impl Ground<'_> {
         let near = near.map(|p| (value(&p), p)).min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, plant)) = near {
             let plant = self.refitted(plant, &parts);
-            keep(pool, self.weigh_set(parts, plant, Some(root)));
+            let set = self.weigh_set(parts, plant, Some(root));
+            keep(pool, set.clone());
+            // Looked on from whatever it weighs: a threshold that differs by direction weighs little as an even one.
+            self.expand(&set, TRIED, pool);
         }
     }
 
