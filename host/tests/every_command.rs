@@ -100,7 +100,7 @@ use Says::{Json, Refused, Serves, Slow, Text};
 
 /// A line of every command. `PORT` is a configured board on a pseudo-terminal, `NEW` a name that is not taken, `EXAMPLES` the folder of
 /// examples.
-const LINES: [(Says, &str); 46] = [
+const LINES: [(Says, &str); 47] = [
     (Json, "align --port sim"),
     (Json, "capture --port sim --seconds 0.2 --out NEW.mcap"),
     (Json, "compare run.mcap --flavour physical"),
@@ -131,6 +131,7 @@ const LINES: [(Says, &str); 46] = [
     (Slow, "model braking"),
     (Slow, "model check"),
     (Json, "model loop --seconds 0.1"),
+    (Json, "model robust --control default --draws 1 --seconds 0.2"),
     (Json, "model speed --seconds 0.05"),
     (Json, "model sweep --seconds 0.02 --points 3"),
     (Json, "model torque --seconds 0.02 --points 3"),
