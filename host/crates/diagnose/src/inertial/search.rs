@@ -64,11 +64,12 @@ impl Ground<'_> {
     }
 
     /// Weighs all sets anew with as many independent residuals as the best set leaves: what follows from sample to sample is counted
-    /// once. Best first.
+    /// once; and with an error of form that is no more than what it leaves. Best first.
     fn reweigh(&mut self, pool: &mut Vec<Set>) {
         let best = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).expect("the root is in it");
         let fewer = memory(self.data, &best.plant);
         self.independent = (self.data.rows() as f64 / fewer).clamp(LEAST_INDEPENDENT, self.independent);
+        self.form_error = best.weighed.left;
         let old = std::mem::take(pool);
         let root = old.iter().find(|s| s.parts.is_empty()).map(|s| self.weigh_set(Vec::new(), s.plant.clone(), None));
         let others = old.into_par_iter().filter(|s| !s.parts.is_empty());

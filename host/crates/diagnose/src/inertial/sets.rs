@@ -1,6 +1,6 @@
 //! Sets of effects of an ordinary motor: what is free in them, their refit, and what they weigh.
 
-use super::super::evidence::{Weighed, independent};
+use super::super::evidence::{FORM_ERROR, Weighed, independent};
 use super::super::level::Level;
 use super::super::set::Course;
 use super::super::verdict::Visited;
@@ -88,6 +88,8 @@ pub struct Ground<'a> {
     terms: Terms,
     /// How many independent residuals the runs count as.
     pub independent: f64,
+    /// Largest squared error that counts as one of the forms, in rpm²: no form is further off than all of what is left.
+    pub form_error: f64,
 }
 
 impl<'a> Ground<'a> {
@@ -100,6 +102,7 @@ impl<'a> Ground<'a> {
             level: Level::by_chance(data.runs.len(), GAIN_SPREAD),
             terms: Terms::new(data),
             independent,
+            form_error: f64::INFINITY,
         }
     }
 
@@ -205,7 +208,7 @@ impl<'a> Ground<'a> {
 
     pub fn weigh_set(&self, parts: Vec<Part>, plant: Plant, root: Option<&Set>) -> Set {
         let free = self.free(&parts);
-        let without = root.map(|r| r.weighed.left);
+        let without = root.map(|r| r.weighed.left.min(self.form_error / FORM_ERROR));
         let Evidence { weighed, log, terms, courses } =
             weigh_plant(self.data, &self.terms, &self.level, self.independent, &plant, &free, without);
         let prior = log_prior(&plant.values, &free[1..]);
