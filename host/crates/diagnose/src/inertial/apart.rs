@@ -110,6 +110,7 @@ pub fn joined(data: &Data, outcomes: Vec<(String, InertialOutcome)>) -> Inertial
         },
         noise_floor: (floors / outcomes.len() as f64).sqrt(),
         own: Vec::new(),
+        fitted: None,
         notes: Vec::new(),
     }
 }

@@ -3,6 +3,7 @@
 use super::super::finding::{Estimate, Finding, Status, Unknown};
 use super::super::stats::HeldOut;
 use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, TEMPERATURE, Visited, judge};
+use super::compensation::Fitted;
 use super::data::Data;
 use super::effects::{Coordinate, EFFECTS, twin};
 use super::fit::Plant;
@@ -46,6 +47,8 @@ pub struct InertialOutcome {
     pub noise_floor: f64,
     /// Numbers that belong to the motor itself, with 95 % intervals.
     pub own: Vec<Estimate>,
+    /// The plant with all accepted effects and the line; none where the runs are not of one motor.
+    pub fitted: Option<Fitted>,
     /// What else must be said.
     pub notes: Vec<String>,
 }
@@ -80,6 +83,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], repetitions: usize, seed: u64)
         notes: Vec::new(),
         noise_floor: noise_floor(ground, &held, foretold),
         own: own_numbers(ground, accepted),
+        fitted: Some(Fitted { line: root.plant.values, plant: accepted.plant.values }),
         held_out: held,
         findings,
     }
@@ -244,7 +248,7 @@ impl View<'_> {
             probability: Some(self.probability(part.effect)),
             gain: held.gain(),
             gain_interval: held.gain_interval(self.seed),
-            p_null: self.chance.p(part.effect),
+            p_null: self.chance.p(part.effect, Some(&held)),
             parameters,
             conflicts: self.rivals(part.effect),
             next_experiment: effect.next_experiment.to_owned(),
@@ -275,7 +279,7 @@ impl View<'_> {
                 probability: Some(probability),
                 gain: held.as_ref().map_or(0.0, HeldOut::gain),
                 gain_interval: held.map_or([0.0; 2], |h| h.gain_interval(self.seed)),
-                p_null: self.chance.p(effect),
+                p_null: self.chance.p(effect, None),
                 parameters: part
                     .map_or_else(Vec::new, |(s, p)| estimates(self.ground, s, EFFECTS[effect].forms[p.form].numbers)),
                 conflicts: self.rivals(effect),

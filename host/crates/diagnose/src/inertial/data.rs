@@ -34,6 +34,11 @@ impl DriveRun {
         self.windows.as_ref().map_or(k, |w| (w[k] + w[k + 1]) / 2)
     }
 
+    /// The last sample whose input comparison `k` can show.
+    pub fn last_sample(&self, k: usize) -> usize {
+        self.windows.as_ref().map_or(k, |w| w[k + 1] - 1)
+    }
+
     /// Every `by` samples as one: inputs and speeds averaged, positions taken as they are.
     pub fn merged(&self, by: usize) -> Self {
         if by == 1 {

@@ -12,6 +12,8 @@ const LARGEST_RPM: f64 = 300_000.0;
 const SHORTEST_PERIOD_S: f64 = 20e-6;
 /// Shortest lag in s that is believed: coreless motors of some grams, the quickest there are, take 1 ms.
 const SHORTEST_LAG_S: f64 = 3e-4;
+/// Longest lag in s that is not asked about: a spindle with a flywheel takes some seconds.
+const LONGEST_LAG_S: f64 = 10.0;
 /// Share of the largest input by which an input has to move.
 const LEAST_MOVE: f64 = 1e-3;
 /// Earlier samples by which one column foretells another.
@@ -79,6 +81,15 @@ pub fn refused_line(data: &Data, line: &Plant) -> Option<String> {
     })
 }
 
+/// What is asked about a lag that few motors have.
+pub fn slow(lag_s: f64) -> Option<String> {
+    (lag_s > LONGEST_LAG_S).then(|| {
+        format!(
+            "a lag of {lag_s:.0} s is long for a motor: is `time_us` in µs? The times below are by the record's own"
+        )
+    })
+}
+
 /// What a record of a closed loop hides; nothing of one that is open.
 pub fn loop_hides(data: &Data) -> Option<String> {
     let (back, _) = follows(data);
@@ -95,7 +106,8 @@ pub fn follows(data: &Data) -> (f64, f64) {
     let (mut back, mut forth) = (Shares::default(), Shares::default());
     for run in &data.runs {
         let n = run.rpm.len().min(LOOKED_AT);
-        let input: Vec<f64> = (0..n).map(|k| run.input[run.sample(k)]).collect();
+        // An input that the speed of a window has seen is that window's: seen in the next, it would be foretold.
+        let input: Vec<f64> = (0..n).map(|k| run.input[run.last_sample(k)]).collect();
         let speed: Vec<f64> = run.rpm[..n].iter().map(|v| v / data.usual_rpm).collect();
         back.add(&speed, &input);
         forth.add(&input, &speed);

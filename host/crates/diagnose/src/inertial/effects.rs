@@ -128,11 +128,12 @@ pub const EFFECTS: [Effect; 8] = [
     Effect {
         name: "high-duty-saturation",
         says: "the speed bends away from the input at its upper end",
-        equation: "u → u/(1 + b·u), or min(u, u₁)",
+        equation: "u → u/(1 + b·u), u/(1 + (b·u)^p)^(1/p), or min(u, u₁)",
         coordinate: Coordinate::Top,
         forms: &[
             Form { numbers: &[P::Bend], starts: &[&[0.3], &[2.0], &[6.0]], needs: &[] },
             Form { numbers: &[P::FlatTop], starts: &[&[0.05], &[0.3]], needs: &[] },
+            Form { numbers: &[P::Bend, P::BendPower], starts: &[&[0.6, 1.5], &[1.5, 1.0]], needs: &[] },
         ],
         next_experiment: "log the supply voltage at full input: a sag is in the supply, a saturation is not",
         own: false,
@@ -173,6 +174,7 @@ pub fn reported(number: P) -> (&'static str, &'static str) {
         P::DeadSplit => ("threshold_asymmetry", "1"),
         P::GainSplit => ("gain_asymmetry", "1"),
         P::Bend => ("bend", "1"),
+        P::BendPower => ("bend_power_above_1", "1"),
         P::FlatTop => ("flat_share", "1"),
     }
 }
@@ -225,6 +227,8 @@ pub fn free(number: P, data: &Data) -> Free {
         P::DeadSplit => around_zero(0.3, (-0.95, 0.95), 1e-3),
         P::GainSplit => around_zero(0.1, (-0.8, 0.8), 1e-4),
         P::Bend => around_zero(4.0, (0.0, 60.0), 1e-3),
+        // Iron and amplifiers bend between at once (0) and a corner.
+        P::BendPower => around_zero(1.5, (0.0, 6.0), 1e-2),
         P::FlatTop => around_zero(0.2, (0.0, 0.8), 1e-3),
     }
 }

@@ -8,6 +8,9 @@ use super::plant::{Motion, P, Values, simulate, simulate_all};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
+/// Share of the misfit below which a step gains nothing: a hundredth of a nat of two hundred residuals.
+const SETTLED: f64 = 1e-4;
+
 /// A plant with the initial speed of every run in rpm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plant {
@@ -210,7 +213,7 @@ pub fn refit(data: &Data, mut plant: Plant, free: &[Free], noise: Noise, hidden:
             }
             damping = (damping * 20.0).min(1e8);
         }
-        if before - value <= 1e-5 * before.abs() {
+        if before - value <= SETTLED * before.abs() {
             break;
         }
     }

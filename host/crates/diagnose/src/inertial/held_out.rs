@@ -136,9 +136,10 @@ impl Chance {
         Self { null, alone: singles.iter().map(|s| s.0).zip(improvements).collect() }
     }
 
-    /// The p-value of an effect alone.
-    pub fn p(&self, effect: usize) -> f64 {
-        let found = self.alone.iter().find(|a| a.0 == effect).map_or(0.0, |a| a.1);
+    /// The p-value of an effect by what it improves beside the others, `held`, or alone: beside another it may do more, or less.
+    pub fn p(&self, effect: usize, held: Option<&HeldOut>) -> f64 {
+        let alone = self.alone.iter().find(|a| a.0 == effect).map_or(0.0, |a| a.1);
+        let found = held.map_or(alone, |h| h.improvement().max(alone));
         p_value(found, &self.null)
     }
 }

@@ -4,6 +4,7 @@
 //! a TWUM: [`super::evidence`], [`super::level`], [`super::verdict`].
 
 mod apart;
+mod compensation;
 mod conclude;
 mod data;
 mod doubts;
@@ -11,17 +12,22 @@ mod effects;
 mod fit;
 mod held_out;
 mod numbers;
+mod plan;
 mod plant;
+mod report;
 mod search;
 mod sets;
 mod thin;
 mod weigh;
 
+pub use compensation::{Compensation, Fitted};
 pub use conclude::InertialOutcome;
 pub use data::{Data, DriveRun};
 pub use effects::EFFECTS;
 pub use fit::Plant;
+pub use plan::{InputRun, Piece, next_inputs};
 pub use plant::{P, Values};
+pub use report::{MotorReport, Number};
 
 use super::Options;
 use super::answer::Diagnosis;
@@ -98,6 +104,8 @@ pub fn diagnose_drives(
     notes.extend(doubts::loop_hides(&data));
     let apart = !outcome.notes.is_empty();
     notes.extend(outcome.notes.iter().cloned());
+    let lag = outcome.own.iter().find(|e| e.name == "lag_s");
+    notes.extend(lag.and_then(|lag| doubts::slow(lag.value)));
     if !outcome.own.is_empty() {
         let number = |e: &Estimate| {
             format!("{} {:.4} {} ({:.4} to {:.4})", e.name, e.value, e.unit, e.interval[0], e.interval[1])

@@ -34,8 +34,10 @@ pub enum P {
     DeadSplit,
     /// By how much the gain is larger forwards, relative.
     GainSplit,
-    /// Bend b of u/(1 + b·u).
+    /// Bend b of u/(1 + (b·u)^p)^(1/p).
     Bend,
+    /// By how much its power p is above 1: a bend at once, or one behind a straight beginning.
+    BendPower,
     /// Share of the range over which the top is flat.
     FlatTop,
 }
@@ -83,11 +85,31 @@ impl Values {
         let zone = self.get(P::DeadZone) * (1.0 + sign * self.get(P::DeadSplit));
         let top = 1.0 - self.get(P::FlatTop);
         let x = (input.abs().min(top) - zone).max(0.0);
-        sign * x / (1.0 + self.get(P::Bend) * x) * (1.0 + sign * self.get(P::GainSplit))
+        sign * self.bent(x, 1.0) * (1.0 + sign * self.get(P::GainSplit))
+    }
+
+    /// A positive input bent (`side` 1) or unbent (-1); what no input is bent to is no number.
+    fn bent(&self, x: f64, side: f64) -> f64 {
+        let (bend, power) = (self.get(P::Bend), 1.0 + self.get(P::BendPower));
+        if power == 1.0 {
+            return x / (1.0 + side * bend * x);
+        }
+        x / (1.0 + side * (bend * x).powf(power)).powf(1.0 / power)
+    }
+
+    /// The input of which the actuator makes `x`; none where it cannot.
+    pub fn input_for(&self, x: f64) -> Option<f64> {
+        if x == 0.0 {
+            return Some(0.0);
+        }
+        let sign = x.signum();
+        let straight = self.bent(x.abs() / (1.0 + sign * self.get(P::GainSplit)), -1.0);
+        let input = straight + self.get(P::DeadZone) * (1.0 + sign * self.get(P::DeadSplit));
+        (straight >= 0.0 && input <= 1.0 - self.get(P::FlatTop)).then_some(sign * input)
     }
 
     /// Friction of a sense of motion, as a share of the largest input.
-    fn friction(&self, sense: f64) -> f64 {
+    pub fn friction(&self, sense: f64) -> f64 {
         self.get(P::Coulomb) * (1.0 + sense * self.get(P::FrictionSplit))
     }
 }
@@ -135,11 +157,16 @@ struct Solver<'a> {
 }
 
 impl Solver<'_> {
+    /// The speed to which a motor in slip comes; where speeds are counted against the input, friction still brakes.
+    fn end(&self, goal: f64, sense: f64) -> f64 {
+        let v = self.values;
+        let side = sense * v.get(P::Gain).signum();
+        v.get(P::Gain) * (goal - v.get(P::Bias) - side * v.friction(side))
+    }
+
     /// The speed after `h` in slip towards `goal`, and the way made.
     fn slip(&mut self, s: &State, goal: f64, sense: f64, h: f64, decay: [f64; 2]) -> (f64, f64) {
-        let v = self.values;
-        let gain = v.get(P::Gain);
-        let end = gain * (goal - v.get(P::Bias) - sense * v.friction(sense));
+        let (gain, end) = (self.values.get(P::Gain), self.end(goal, sense));
         let [first, second] = decay;
         if self.second == 0.0 {
             let away = s.speed - end;
@@ -154,8 +181,7 @@ impl Solver<'_> {
     /// The time at which a slipping rotor stops within `h`.
     fn stop(&mut self, s: &State, goal: f64, sense: f64, h: f64) -> f64 {
         if self.second == 0.0 {
-            let v = self.values;
-            let end = v.get(P::Gain) * (goal - v.get(P::Bias) - sense * v.friction(sense));
+            let end = self.end(goal, sense);
             return (self.lag * ((s.speed - end) / -end).ln()).clamp(0.0, h);
         }
         let (mut low, mut high) = (0.0, h);
@@ -267,16 +293,15 @@ pub fn simulate(run: &DriveRun, values: &Values, start_rpm: f64, unsigned: bool)
     let least = 1e-9 * run.period_s;
     for k in 1..n {
         let until = run.time[k];
-        let whole = until - run.time[k - 1];
         while applied + 1 < n && run.time[applied + 1] + delay < until - least {
             let change = run.time[applied + 1] + delay;
             if change - now > least {
-                solver.advance(&mut state, goals[applied], quantised(change - now, whole));
+                solver.advance(&mut state, goals[applied], rounded(change - now));
                 now = change;
             }
             applied += 1;
         }
-        solver.advance(&mut state, goals[applied], quantised(until - now, whole));
+        solver.advance(&mut state, goals[applied], rounded(until - now));
         now = until;
         match &run.windows {
             None => out.push(magnitude(state.speed)),
@@ -291,12 +316,9 @@ pub fn simulate(run: &DriveRun, values: &Values, start_rpm: f64, unsigned: bool)
     Motion { rpm: out }
 }
 
-/// An interval without the last digits, which rounding of times makes differ from step to step.
-fn quantised(h: f64, whole: f64) -> f64 {
-    let grain = whole * 1e-7;
-    // A power of two, the same for steps that are the same but for rounding.
-    let grain = 2.0f64.powi(grain.log2().round() as i32);
-    (h / grain).round() * grain
+/// An interval without the last digits, which rounding of times makes differ from step to step: equal steps then have equal decays.
+fn rounded(h: f64) -> f64 {
+    f64::from(h as f32)
 }
 
 /// Simulates all runs.
@@ -345,6 +367,20 @@ mod tests {
             out.push(speed);
         }
         out
+    }
+
+    /// Fails if the inverse leaves out a part of the actuator, or gives an input beyond its reach.
+    #[test]
+    fn an_actuator_is_inverted() {
+        let v = Values::line(300.0, 0.02).with(P::DeadZone, 0.15).with(P::DeadSplit, 0.2).with(P::Bend, 1.5);
+        for v in [v.with(P::GainSplit, -0.1), v.with(P::BendPower, 1.3)] {
+            for u in [-1.0, -0.6, -0.2, 0.3, 0.9] {
+                let back = v.input_for(v.actuated(u)).expect("it came from an input");
+                assert!((back - u).abs() < 1e-9, "{u}: {back}");
+            }
+            assert_eq!(v.input_for(1.01 * v.actuated(1.0)), None);
+            assert_eq!(v.input_for(2.0), None);
+        }
     }
 
     /// Fails if an instant of stop or break-away is missed, or a lag, a dead time or a load acts at another place.

@@ -57,7 +57,15 @@ impl Ground<'_> {
             }
             self.remove(&mut pool);
             self.exchange(&mut pool);
-            self.reform(&mut pool);
+            self.reform(&best_of(&pool), &mut pool);
+        }
+        self.reweigh(&mut pool);
+        // Forms that looked alike beside a line that misses all may now be told apart, in the best set and in those with one effect less.
+        let best = pool[0].clone();
+        let less = (0..best.parts.len()).map(|k| self.without(&best, k, &pool));
+        let near: Vec<Set> = less.collect();
+        for set in std::iter::once(best).chain(near) {
+            self.reform(&set, &mut pool);
         }
         self.reweigh(&mut pool);
         pool
@@ -66,7 +74,7 @@ impl Ground<'_> {
     /// Weighs all sets anew with as many independent residuals as the best set leaves: what follows from sample to sample is counted
     /// once; and with an error of form that is no more than what it leaves. Best first.
     fn reweigh(&mut self, pool: &mut Vec<Set>) {
-        let best = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).expect("the root is in it");
+        let best = best_of(pool);
         let fewer = memory(self.data, &best.plant);
         self.independent = (self.data.rows() as f64 / fewer).clamp(LEAST_INDEPENDENT, self.independent);
         self.form_error = best.weighed.left;
@@ -130,17 +138,16 @@ impl Ground<'_> {
         near.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(v, p)| (v, parts, p))
     }
 
-    /// The best set with another form of each effect: beside what was found since, it may be the nearer one.
-    fn reform(&self, pool: &mut Vec<Set>) {
-        let Some(best) = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).cloned() else { return };
+    /// A set with another form of each effect: beside what was found since, it may be the nearer one.
+    fn reform(&self, set: &Set, pool: &mut Vec<Set>) {
         let mut tasks = Vec::new();
-        for k in 0..best.parts.len() {
-            let mut rest = best.parts.clone();
+        for k in 0..set.parts.len() {
+            let mut rest = set.parts.clone();
             let now = rest.remove(k);
             for form in (0..EFFECTS[now.effect].forms.len()).filter(|f| *f != now.form) {
                 let part = Part { form, ..now };
                 if self.makes_sense(part, &rest) {
-                    let mut plant = best.plant.clone();
+                    let mut plant = set.plant.clone();
                     for p in EFFECTS[now.effect].forms[now.form].numbers {
                         plant.values.set(*p, 0.0);
                     }
@@ -223,7 +230,7 @@ impl Ground<'_> {
 
     /// Sets that lack one effect of the best.
     fn remove(&self, pool: &mut Vec<Set>) {
-        let Some(best) = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).cloned() else { return };
+        let best = best_of(pool);
         for k in 0..best.parts.len() {
             let less = self.without(&best, k, pool);
             keep(pool, less);
@@ -287,6 +294,11 @@ fn companions(now: &Values, numbers: &[P]) -> Vec<(P, f64)> {
         Some(t) => vec![(t, now.get(t)), (t, 0.12), (t, 0.25)],
         None => vec![(P::Gain, now.get(P::Gain))],
     }
+}
+
+/// The set of the highest score.
+fn best_of(pool: &[Set]) -> Set {
+    pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).expect("the root is in it").clone()
 }
 
 /// Puts a set into the pool, in the place of the same set with a worse form.

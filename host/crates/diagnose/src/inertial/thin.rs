@@ -5,8 +5,8 @@
 
 use super::data::{Data, DriveRun};
 
-/// Rows that a search looks at: thirty times as many as residuals count as independent.
-const MOST_ROWS: usize = 6000;
+/// Rows that a search looks at: fifteen times as many as residuals count as independent.
+const MOST_ROWS: usize = 3000;
 /// Samples that a lag keeps.
 const SAMPLES_A_LAG: f64 = 25.0;
 /// Stretches of all runs.
