@@ -173,6 +173,64 @@ fn a_reference_that_stands_as_the_input_names_nothing() {
     println!("{:?} {:?} {:?}", d.verdict, d.suspected(), d.unknown);
 }
 
+/// The runs of a folder of measured data, each with its error in rpm on what was not fitted.
+fn measured(name: &str, alone: bool) -> Vec<(String, Diagnosis, f64)> {
+    let data =
+        std::path::PathBuf::from(std::env::var_os("TWUM_DATA").expect("TWUM_DATA names the folder of measured data"));
+    let all = Measurement::load(&data.join(name)).expect("the folder can be read");
+    let one = |run: &Run| Measurement { runs: vec![run.clone()], ..all.clone() };
+    let folders = if alone { all.runs.iter().map(one).collect() } else { vec![all.clone()] };
+    let told = |folder: Measurement| {
+        let id = format!("{name} {:?}", folder.runs.iter().map(|r| r.id.as_str()).collect::<Vec<_>>());
+        let d = diagnose(&[folder], &Options::default(), &|_, _| {}).expect("it can be diagnosed").0;
+        println!("{id}: {:?} {:?} {:?}", d.verdict, d.suspected(), d.extended.rmse_speed_rpm);
+        let error = d.extended.rmse_speed_rpm.unwrap_or(f64::INFINITY);
+        (id, d, error)
+    };
+    folders.into_iter().map(told).collect()
+}
+
+/// Real motors with friction, and what a model of ten lines predicts of a run that it was not fitted to (the limits, in rpm).
+#[test]
+#[ignore = "needs measured data: .ci/run measured"]
+fn measured_motors_are_told_by_their_friction() {
+    for (name, limit) in [("micromouse-more/delay-left", 9.2), ("micromouse-more/delay-right", 6.9), ("laas-sine", 6.9)]
+    {
+        let (id, d, error) = measured(name, false).remove(0);
+        assert!(error <= limit, "{id}: {error} rpm");
+        assert!(d.suspected().contains(&"coulomb-friction"), "{id}: {:?}", d.suspected());
+        assert!(
+            d.suspected().iter().all(|n| ["coulomb-friction", "dead-zone"].contains(n)),
+            "{id}: {:?}",
+            d.suspected()
+        );
+    }
+    for (name, limit) in [("micromouse-more/cal-left", 18.3), ("micromouse-more/cal-right", 21.7)] {
+        let (id, d, error) = measured(name, false).remove(0);
+        assert!(error <= limit, "{id}: {error} rpm");
+        assert!(
+            ["dead-zone", "high-duty-saturation"].iter().all(|n| d.suspected().contains(n)),
+            "{id}: {:?}",
+            d.suspected()
+        );
+    }
+}
+
+/// Fails if a single run is said to show nothing, or is predicted much worse than beside others.
+#[test]
+#[ignore = "needs measured data: .ci/run measured"]
+fn measured_runs_alone_are_not_nothing() {
+    for (id, d, _) in ["micromouse-more/delay-left", "micromouse-more/delay-right"].map(|n| measured(n, true)).concat()
+    {
+        assert!(matches!(d.verdict, Verdict::Named | Verdict::Ambiguous), "{id}: {:?}", d.verdict);
+    }
+    for (name, limit) in [("micromouse-more/cal-left", 18.3), ("micromouse-more/cal-right", 21.7)] {
+        for (id, _, error) in measured(name, true) {
+            assert!(error <= 1.3 * limit, "{id}: {error} rpm");
+        }
+    }
+}
+
 /// Seeds from which nothing in the diagnosis was chosen.
 const UNSEEN: u64 = 20_001;
 

@@ -156,12 +156,14 @@ fn solve(
     free: &[Free],
     noise: Noise,
     damping: f64,
+    usual_rpm: f64,
 ) -> Option<(DVector<f64>, Vec<f64>)> {
     let c = free.len();
     let mut m = DMatrix::zeros(c, c);
     let mut rhs = DVector::zeros(c);
-    // The initial speed of a run is eliminated: it touches no other run.
-    let own = |r: &Normal| r.g[(c, c)] * (1.0 + damping) + 1e-9 * r.g[(c, c)].max(1e-9);
+    // The initial speed of a run is eliminated: it touches no other run. Where the rows that show it are left out, it stays.
+    let unseen = noise.variance / (usual_rpm * usual_rpm).max(1e-12);
+    let own = |r: &Normal| r.g[(c, c)] * (1.0 + damping) + unseen;
     for r in runs {
         let link = r.g.view((c, 0), (1, c)).clone_owned();
         m += r.g.view((0, 0), (c, c)) - link.transpose() * &link / own(r);
@@ -192,7 +194,7 @@ pub fn refit(data: &Data, mut plant: Plant, free: &[Free], noise: Noise, hidden:
             .collect();
         let before = value;
         for _ in 0..7 {
-            let Some((step, starts)) = solve(&runs, &plant, free, noise, damping) else {
+            let Some((step, starts)) = solve(&runs, &plant, free, noise, damping, data.usual_rpm) else {
                 damping *= 10.0;
                 continue;
             };
