@@ -195,7 +195,7 @@ impl Drive {
             1 => levels[(t / (3.0 * self.lag)) as usize % levels.len()],
             // Of two heights in turn: one alone cannot show what bends or is lost, and what grows with the time is warmth too.
             2 => {
-                let height = if (8.0 * x) as usize % 2 == 0 { 0.3 + 0.17 * run as f64 } else { 1.0 };
+                let height = if ((8.0 * x) as usize).is_multiple_of(2) { 0.3 + 0.17 * run as f64 } else { 1.0 };
                 levels[(t / (0.7 * self.lag)) as usize % levels.len()].signum() * height
             }
             3 => 1.0 - (4.0 * ((x + 0.13 * run as f64).rem_euclid(1.0)) - 2.0).abs(),

@@ -177,7 +177,7 @@ fn a_reference_that_stands_as_the_input_names_nothing() {
 fn measured(name: &str, alone: bool) -> Vec<(String, Diagnosis, f64)> {
     let data =
         std::path::PathBuf::from(std::env::var_os("TWUM_DATA").expect("TWUM_DATA names the folder of measured data"));
-    let all = Measurement::load(&data.join(name)).expect("the folder can be read");
+    let all = Measurement::load(data.join(name)).expect("the folder can be read");
     let one = |run: &Run| Measurement { runs: vec![run.clone()], ..all.clone() };
     let folders = if alone { all.runs.iter().map(one).collect() } else { vec![all.clone()] };
     let told = |folder: Measurement| {
