@@ -340,7 +340,7 @@ fn attempt(mover: Mover, event: Event, share: f64) -> Option<Came> {
 }
 
 /// The last sign of life before an event was due within this time, µs.
-const LAST_SIGN_US: u64 = 100_000;
+const LAST_SIGN_US: u64 = 30_000;
 /// The rig hears and drives the board in turns of 2 ms, and a tick is half of one.
 const TURN_MS: f64 = 2.5;
 /// The way from an event to the board is over three threads, the program's, its line's and the board's: each may have been kept
@@ -351,8 +351,6 @@ fn check(mover: Mover, event: Event, came: &Came) {
     let what = format!("{} × {}: {came:?}", mover.name, event.name());
     if event.ends(mover) {
         let bound_ms = match event {
-            // The disk is full with the next frame, which comes within 100 ms.
-            Event::DiskFull => 200.0,
             _ if event.host_lives() => 100.0,
             _ => 500.0,
         };

@@ -268,8 +268,7 @@ pub fn step(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
     }
     let sum = |integral| without_integral + (product(spec.ki_tick.to_bits(), integral) >> 16);
     let mut signal = sum(integral);
-    // The first sum that rounds to more than full drive.
-    let beyond = i64::from(spec.duty_steps) << 32 | 128;
+    let beyond = beyond_full_drive(spec.duty_steps);
     let winds_up =
         spec.conditional_integration && if error > 0 { signal >= beyond } else { error < 0 && signal <= -beyond };
     if winds_up {
@@ -311,6 +310,11 @@ fn product(gain: i64, whole: i32) -> i64 {
     let low = i64::from(gain as u32) * i64::from(whole);
     let high = ((gain >> 32) as i32).wrapping_mul(whole);
     low.wrapping_add(i64::from(high) << 32)
+}
+
+/// The first sum that rounds to more than full drive; its negative is the first of the other direction.
+const fn beyond_full_drive(duty_steps: u16) -> i64 {
+    (duty_steps as i64) << 32 | 128
 }
 
 /// Q32 to Q24, to nearest, halves away from zero, so that both directions round alike.

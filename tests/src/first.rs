@@ -1,8 +1,9 @@
 //! Generator A as the suite asks for it: its one design and motor family, through a folder and a truth like the others'.
 
-use crate::experiment::{DataSet, Design, EDGES, PWM_HZ, Sealed};
+use crate::experiment::{DataSet, Design, PWM_HZ, Sealed};
 use crate::folder::{Folder, Record, Run, Tick};
 use crate::hidden::{Hidden as Effect, OPEN_LOOP, OUTSIDE};
+use crate::trace::EDGES;
 use crate::tracking::{HiddenInLoop, sines};
 use crate::truth::{Hidden, Kind, Made, Request, Truth};
 use rand::{RngExt, SeedableRng};

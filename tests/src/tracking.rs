@@ -2,9 +2,9 @@
 //!
 //! The step is the contract itself (`twum_shared`), not a model; the motor, the PWM and the encoder are the generator's own.
 
-use crate::experiment::PITCH;
 use crate::motor::{ContactTable, Drive, Motor, State, step as advance};
 use crate::noise::normal;
+use crate::trace::PITCH;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
-use twum_host::identify::force_factor::{Loaded, Report, TorqueRuns, identify};
+use twum_host::identify::force_factor::{Loaded, Report, TorqueRuns, Trade, identify};
 use twum_host::model::effects::EffectSet;
 use twum_host::model::motor::Entry;
 use twum_host::model::motor::Motor;
@@ -106,45 +106,48 @@ struct Coverage {
     half_width_with_torque: f64,
 }
 
+/// A motor drawn from a seed that turns fast enough to be seen: its force factor, and what is said of it from its speeds alone and with
+/// torque runs.
+fn asked(motor: &Motor, known: &[Trade], seed: u64) -> (f64, Report, Report) {
+    let base = motor.parameters(Flavour::Physical);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    loop {
+        let mut truth = base;
+        truth.force_factor_n_v *= (0.6 * (rng.random::<f64>() - 0.5)).exp();
+        for rival in known {
+            scale(&mut truth, &rival.with, (rival.prior_relative * normal(&mut rng)).exp());
+        }
+        let mut each = |_| (TAU / 400.0 * rng.random::<f64>(), 1.0 + 0.01 * normal(&mut rng));
+        let data = repeated(truth, 2, &mut each);
+        let least = data.runs.iter().map(|r| match &r.data {
+            RunData::Edges { edges, .. } => edges.len(),
+            _ => 0,
+        });
+        if least.min().unwrap() < 30 {
+            continue;
+        }
+        let stall = truth.friction * truth.preload_n * truth.contact_radius_m;
+        let loaded = [0.2, 0.5]
+            .map(|share| {
+                let load_nm = share * stall;
+                let rpm = steady_rpm(truth, load_nm) * (1.0 + 0.02 * normal(&mut rng));
+                Loaded { duty: 1.0, load_nm, rpm }
+            })
+            .into();
+        let torque = TorqueRuns { loaded, stall_nm: vec![stall * (1.0 + 0.02 * normal(&mut rng))] };
+        let alone = identify(&data, &TorqueRuns::default(), motor, Flavour::Physical).unwrap();
+        let with = identify(&data, &torque, motor, Flavour::Physical).unwrap();
+        return (truth.force_factor_n_v, alone, with);
+    }
+}
+
 /// Motors drawn from what the motor file says is known, each measured with 1 % of scatter from run to run (`seeds` of them
 /// that turn at every duty), identified from the unchanged motor file without and with torque runs.
 fn coverage(motor: &Motor, seeds: u64, first: u64) -> Coverage {
     let base = motor.parameters(Flavour::Physical);
     let known = identify(&measured(base), &TorqueRuns::default(), motor, Flavour::Physical).unwrap().trades;
-    let found: Vec<(f64, Report, Report)> = (first..first + seeds)
-        .into_par_iter()
-        .map(|seed| {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            loop {
-                let mut truth = base;
-                truth.force_factor_n_v *= (0.6 * (rng.random::<f64>() - 0.5)).exp();
-                for rival in &known {
-                    scale(&mut truth, &rival.with, (rival.prior_relative * normal(&mut rng)).exp());
-                }
-                let mut each = |_| (TAU / 400.0 * rng.random::<f64>(), 1.0 + 0.01 * normal(&mut rng));
-                let data = repeated(truth, 2, &mut each);
-                let least = data.runs.iter().map(|r| match &r.data {
-                    RunData::Edges { edges, .. } => edges.len(),
-                    _ => 0,
-                });
-                if least.min().unwrap() < 30 {
-                    continue;
-                }
-                let stall = truth.friction * truth.preload_n * truth.contact_radius_m;
-                let loaded = [0.2, 0.5]
-                    .map(|share| {
-                        let load_nm = share * stall;
-                        let rpm = steady_rpm(truth, load_nm) * (1.0 + 0.02 * normal(&mut rng));
-                        Loaded { duty: 1.0, load_nm, rpm }
-                    })
-                    .into();
-                let torque = TorqueRuns { loaded, stall_nm: vec![stall * (1.0 + 0.02 * normal(&mut rng))] };
-                let alone = identify(&data, &TorqueRuns::default(), motor, Flavour::Physical).unwrap();
-                let with = identify(&data, &torque, motor, Flavour::Physical).unwrap();
-                return (truth.force_factor_n_v, alone, with);
-            }
-        })
-        .collect();
+    let found: Vec<(f64, Report, Report)> =
+        (first..first + seeds).into_par_iter().map(|seed| asked(motor, &known, seed)).collect();
     let n = found.len() as f64;
     for (seed, (truth, alone, _)) in (first..).zip(&found) {
         let [low, high] = alone.ci95;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::diagnose::cache::{self, Kept};
 use twum_host::diagnose::library::known_effects;
-use twum_host::diagnose::{Details, Options, answer, diagnose, motor};
+use twum_host::diagnose::{Details, Options, answer, diagnose, saved};
 use twum_host::input::printable;
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
@@ -149,7 +149,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         let (Some(motor_file), Some(Details::Runs { problem, outcome })) = (&motor_file, &details) else {
             bail!("--save-model needs a run of a TWUM that could be used, and a motor file");
         };
-        let text = motor::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?;
+        let text = saved::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?;
         output::write(path, text, args.existing.into())?;
         eprintln!("wrote {}", path.display());
     }

@@ -30,7 +30,6 @@ mod plot;
 mod ports;
 mod reboot;
 mod replay;
-mod robust;
 mod run;
 mod signals;
 mod sim;

@@ -64,10 +64,7 @@ impl ReferenceArgs {
             let (amplitude, omega) =
                 pair(self.sine.as_deref().unwrap_or("89,1.257"), ',').context("--sine is AMPLITUDE,OMEGA")?;
             let omega: f64 = omega.trim().parse().with_context(|| format!("--sine: `{omega}` is not a number"))?;
-            Reference::Sine {
-                amplitude: counts(amplitude).context("--sine")?,
-                omega_urad_s: (omega * 1e6).round() as u32,
-            }
+            units::sine(counts(amplitude).context("--sine")?, omega).context("--sine")?
         };
         reference.validate()?;
         Ok(reference)

@@ -1,6 +1,7 @@
 //! Quantities as people write them: `90deg`, `0.25turn` or counts; `50%` or `0.5`; `30rpm`, `180deg/s` or counts/s.
 
 use anyhow::{Context, Result, bail};
+use twum_shared::reference::Reference;
 
 fn number(text: &str, unit: &str, kinds: &str) -> Result<f64> {
     let word = text.strip_suffix(unit).unwrap_or(text).trim();
@@ -55,6 +56,17 @@ pub fn amount(value: Result<f64>) -> Result<u32> {
         bail!("{value} counts: an amount is neither negative nor beyond what the board can count");
     }
     Ok(value as u32)
+}
+
+/// A sine to follow, of an amplitude in counts and an angular frequency in rad/s.
+pub fn sine(amplitude: i32, omega_rad_s: f64) -> Result<Reference> {
+    let omega_urad_s = (omega_rad_s * 1e6).round();
+    if !(0.0..=f64::from(u32::MAX)).contains(&omega_urad_s) {
+        bail!("{omega_rad_s} rad/s: an angular frequency is neither negative nor beyond 100 rad/s");
+    }
+    let reference = Reference::Sine { amplitude, omega_urad_s: omega_urad_s as u32 };
+    reference.validate()?;
+    Ok(reference)
 }
 
 /// A duty, as a fraction.

@@ -4,11 +4,12 @@
 //! A recording of this project is checked bit for bit by [`super::replay`]; this is for what people bring: tables of
 //! `time_us,target,position,u,duty,direction`, where `u` may have been rounded when it was printed.
 
+use crate::record::control::recomputed;
 use crate::record::measurement::{ControlError, ControlRow, ControlSpec, Run, RunData};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 use thiserror::Error;
-use twum_shared::step::{self, Config, ConfigSpec, Inputs, State};
+use twum_shared::step::{Config, ConfigSpec};
 
 /// Differences of `u` up to this many duty steps are printing.
 const TOLERANCE_STEPS: f64 = 2e-3;
@@ -177,14 +178,7 @@ pub fn check_rows(rows: &[ControlRow], control: ControlSpec) -> Result<Controlle
 }
 
 fn recompute(rows: &[ControlRow], spec: ConfigSpec) -> Result<Vec<f64>, ControlError> {
-    let config = Config::try_from(spec)?;
-    let mut state = State::REST;
-    let u = rows.iter().map(|row| {
-        let (target, position) = (row.target.round() as i32, row.position.round() as i32);
-        let out = step::step(&config, &mut state, Inputs { target, target_rate: 0, position });
-        f64::from(out.u) / 65_536.0
-    });
-    Ok(u.collect())
+    Ok(recomputed(spec, rows.iter().map(|row| row.inputs(0)))?)
 }
 
 /// Share of the ticks on which two signals agree.

@@ -3,6 +3,7 @@
 use super::PlotError;
 use super::encoder::{MAX_SMOOTHED_EDGES, Walk, records, smoothed_speed_panel};
 use super::trace::Trace;
+use crate::record::convert::changes;
 use crate::record::decode::Decoder;
 use crate::record::measurement;
 use crate::record::pieces::Piece;
@@ -37,7 +38,7 @@ impl Survey {
             }
             Piece::Bits(segment) => {
                 self.samples += segment.levels.len() as u64;
-                self.changes += segment.levels.windows(2).filter(|pair| pair[0] != pair[1]).count() as u64;
+                self.changes += changes(&segment.levels).count() as u64;
                 (segment.session, segment.first_us)
             }
             Piece::Edges(session, edges) => {

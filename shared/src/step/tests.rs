@@ -424,3 +424,15 @@ proptest! {
         }
     }
 }
+
+/// Fails when either sign is cut off elsewhere than where it rounds to: a controller at full drive would wind up in one direction.
+#[test]
+fn full_drive_ends_where_the_sum_rounds_beyond_it() {
+    for duty_steps in [1, 100, 256, u16::MAX] {
+        let (beyond, full) = (beyond_full_drive(duty_steps), i64::from(duty_steps) << 24);
+        for sum in beyond - 300..beyond + 300 {
+            assert_eq!(sum >= beyond, rounded_q24(sum) > full, "{duty_steps}: {sum}");
+            assert_eq!(-sum <= -beyond, rounded_q24(-sum) < -full, "{duty_steps}: {}", -sum);
+        }
+    }
+}

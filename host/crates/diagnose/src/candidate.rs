@@ -1,10 +1,10 @@
 //! Effects that might join a set: all their forms, weighed linearly, and the set with one of them.
 
+use super::design::Column;
 use super::evidence::{Equations, Spreads, Start, weigh};
 use super::ground::Ground;
 use super::library::{Form, Phased, Size};
 use super::prior::Prior;
-use super::problem::Column;
 use super::problem::Model;
 use super::refit::{Free, Noise, coefficients};
 use super::rotor::P;

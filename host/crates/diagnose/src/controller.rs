@@ -1,16 +1,24 @@
 //! The controller's parity residual: the control signal recomputed from the logged target and position, against the logged
 //! one. It separates the controller from everything behind it before any physics is fitted.
 
+use super::design::RunDesign;
 use super::finding::{Estimate, Finding, Status};
-use super::problem::RunDesign;
-use super::stats::{Fold, Grams, Group, p_value};
+use super::stats::{Fold, Grams, Group, HeldOut, p_value};
 use super::verdict::{LARGEST_P, LEAST_GAIN};
+use twum_fit::quantile::NORMAL_95;
+use twum_record::control::recomputed;
 use twum_record::measurement::{ControlRow, Run, RunData};
-use twum_shared::step::{Config, ConfigSpec, Inputs, State, step};
+use twum_shared::step::{ConfigError, ConfigSpec};
 
 /// Longest delay that is tried, in ticks: a PWM period and a half at 50 Hz. All up to it are: what jumps from tick to tick, as the
 /// derivative of whole counts does, is unlike itself a tick later.
 const LONGEST_DELAY: usize = 60;
+/// Ticks held out together: a second at 500 µs, far longer than a signal is like itself.
+const PIECE_TICKS: usize = 2_000;
+/// A record of fewer ticks shows no controller.
+const LEAST_TICKS: usize = 400;
+/// What is fitted to the control signal: a constant, each delay, the controller's three parts.
+const COLUMNS: usize = 1 + LONGEST_DELAY + 3;
 /// Smallest RMS difference worth a word, in duty steps: below it the two are the same number printed twice.
 const SAME: f64 = 0.02;
 /// Smallest relative difference of a gain that is another gain: what the read-off rate leaves of a loop at its limits looks like 2 %.
@@ -44,36 +52,19 @@ struct Recomputed {
 /// Recomputes the control signal of every closed-loop run.
 pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) -> Parity {
     let mut out = Parity::default();
-    let mut all = Vec::new();
     let mut same = SAME;
+    let mut all = Vec::new();
     let mut fed_forward = false;
     for run in runs {
         let RunData::Control(rows) = &run.data else { continue };
-        let Some(control) = &run.control else {
-            out.notes.push(format!("run {}: no `control` stated, so its control signal cannot be recomputed", run.id));
-            continue;
-        };
-        let spec = match control.config() {
-            Ok(spec) => spec,
-            Err(error) => {
-                out.notes.push(format!("run {}: {error}; its control signal cannot be recomputed", run.id));
-                continue;
-            }
-        };
-        let spacing = (rows[rows.len() - 1].time_us - rows[0].time_us) / (rows.len().max(2) - 1) as f64;
-        if rows.len() < 400 || (spacing / f64::from(spec.period_us) - 1.0).abs() > 0.02 {
-            out.notes.push(format!(
-                "run {}: {} rows {spacing:.0} µs apart, the controller steps every {} µs; its control signal cannot be recomputed",
-                run.id,
-                rows.len(),
-                spec.period_us
-            ));
-            continue;
-        }
-        fed_forward |= spec.feed_forward != ConfigSpec::THESIS.feed_forward;
-        if let Some(r) = recompute(rows, spec) {
-            all.push(r);
+        let recomputed = controller_of(run, rows).and_then(|spec| {
+            fed_forward |= spec.feed_forward != 0;
             same = same.max(RATE_ERROR * spec.feed_forward.to_num::<f64>().abs());
+            Recomputed::of(rows, spec).map_err(|error| error.to_string())
+        });
+        match recomputed {
+            Ok(recomputed) => all.push(recomputed),
+            Err(why) => out.notes.push(format!("run {}: {why}; its control signal cannot be recomputed", run.id)),
         }
     }
     if all.is_empty() {
@@ -84,181 +75,233 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
             "the target's rate is not logged; for the controller's feed-forward it is read off the target to about {RATE_ERROR} counts/s"
         ));
     }
-    let (mut square, mut count) = (0.0, 0.0);
-    for r in &all {
-        for (a, b) in r.logged.iter().zip(&r.same) {
-            square += (a - b) * (a - b);
-            count += 1.0;
-        }
-    }
-    let rms = (square / f64::max(count, 1.0)).sqrt();
+    let ticks: usize = all.iter().map(|r| r.logged.len()).sum();
+    let square: f64 = all.iter().flat_map(|r| r.logged.iter().zip(&r.same)).map(|(a, b)| (a - b) * (a - b)).sum();
+    let rms = (square / ticks.max(1) as f64).sqrt();
     out.rms_steps = Some(rms);
     if rms < same {
         return out;
     }
-    // Pieces of a second; every other one is held out.
-    let piece = 2000;
-    let width = 1 + LONGEST_DELAY + 3;
-    let mut designs = Vec::new();
-    for r in &all {
-        let mut k = 0;
-        while k < r.logged.len() {
-            let end = (k + piece).min(r.logged.len());
-            let mut d = RunDesign { columns: width, x: Vec::new(), y: Vec::new(), weight: Vec::new(), seconds: 0.0 };
-            for i in k..end {
-                d.x.push(1.0);
-                for delayed in &r.delayed {
-                    d.x.push(delayed[i] - r.same[i]);
-                }
-                for part in &r.parts {
-                    d.x.push(part[i]);
-                }
-                d.y.push(r.logged[i] - r.same[i]);
-                d.weight.push(1.0);
-                d.seconds += 1.0;
-            }
-            designs.push(d);
-            k = end;
-        }
-    }
+    let designs: Vec<RunDesign> = all.iter().flat_map(Recomputed::pieces).collect();
     if designs.len() < 4 {
         out.notes.push(format!("the logged control signal differs from the recomputed one by {rms:.2} steps RMS; too short a record to say why"));
         return out;
     }
-    let folds: Vec<Fold> = (0..2)
-        .map(|h| Fold {
+    out.findings =
+        Contest::of(&designs, repetitions, seed, without).map_or(Vec::new(), |contest| contest.findings(rms));
+    out
+}
+
+/// The controller that a run's ticks are of, or why they are none's.
+fn controller_of(run: &Run, rows: &[ControlRow]) -> Result<ConfigSpec, String> {
+    let control = run.control.as_ref().ok_or("no `control` stated")?;
+    let spec = control.config().map_err(|error| error.to_string())?;
+    let spacing = (rows[rows.len() - 1].time_us - rows[0].time_us) / (rows.len().max(2) - 1) as f64;
+    if rows.len() < LEAST_TICKS || (spacing / f64::from(spec.period_us) - 1.0).abs() > 0.02 {
+        return Err(format!(
+            "{} rows {spacing:.0} µs apart, the controller steps every {} µs",
+            rows.len(),
+            spec.period_us
+        ));
+    }
+    Ok(spec)
+}
+
+impl Recomputed {
+    fn of(rows: &[ControlRow], spec: ConfigSpec) -> Result<Self, ConfigError> {
+        let rates = target_rates(rows, f64::from(spec.period_us) * 1e-6);
+        let inputs = |k: usize| rows[k].inputs(rates[k] as i32);
+        let signal =
+            |spec: ConfigSpec, delay: usize| recomputed(spec, (0..rows.len()).map(|k| inputs(k.saturating_sub(delay))));
+        let none = ConfigSpec {
+            kp: Default::default(),
+            ki_tick: Default::default(),
+            kd_tick: Default::default(),
+            feed_forward: Default::default(),
+            ..spec
+        };
+        Ok(Self {
+            logged: rows.iter().map(|r| r.u).collect(),
+            same: signal(spec, 0)?,
+            delayed: (1..=LONGEST_DELAY).map(|d| signal(spec, d)).collect::<Result<_, _>>()?,
+            parts: [
+                signal(ConfigSpec { kp: spec.kp, ..none }, 0)?,
+                signal(ConfigSpec { ki_tick: spec.ki_tick, ..none }, 0)?,
+                signal(ConfigSpec { kd_tick: spec.kd_tick, ..none }, 0)?,
+            ],
+        })
+    }
+
+    /// What is logged beyond the same controller, over a constant, what each delay would change, and each part of the controller:
+    /// in pieces, each held out in its turn.
+    fn pieces(&self) -> Vec<RunDesign> {
+        let of = |ticks: std::ops::Range<usize>| {
+            let mut design =
+                RunDesign { columns: COLUMNS, x: Vec::new(), y: Vec::new(), weight: Vec::new(), seconds: 0.0 };
+            for i in ticks {
+                design.x.push(1.0);
+                design.x.extend(self.delayed.iter().map(|delayed| delayed[i] - self.same[i]));
+                design.x.extend(self.parts.iter().map(|part| part[i]));
+                design.y.push(self.logged[i] - self.same[i]);
+                design.weight.push(1.0);
+                design.seconds += 1.0;
+            }
+            design
+        };
+        let ends = |start: usize| start..(start + PIECE_TICKS).min(self.logged.len());
+        (0..self.logged.len()).step_by(PIECE_TICKS).map(|start| of(ends(start))).collect()
+    }
+}
+
+/// A change of the controller that may explain what is logged.
+#[derive(Clone, Copy, PartialEq)]
+enum Change {
+    /// It acts so many ticks late.
+    Delay(usize),
+    /// It has other gains.
+    Gains,
+}
+
+impl Change {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Delay(_) => "loop-delay",
+            Self::Gains => "controller-mismatch",
+        }
+    }
+
+    fn rival(self) -> &'static str {
+        match self {
+            Self::Delay(_) => Self::Gains.name(),
+            Self::Gains => Self::Delay(0).name(),
+        }
+    }
+
+    fn columns(self) -> Vec<usize> {
+        match self {
+            Self::Delay(ticks) => vec![ticks],
+            Self::Gains => (1 + LONGEST_DELAY..COLUMNS).collect(),
+        }
+    }
+}
+
+/// A change with what it explains of the data that it was fitted to, and of those that it was not.
+struct Contender {
+    change: Change,
+    improvement: f64,
+    held: HeldOut,
+}
+
+/// The best delay and the best gains against each other.
+struct Contest {
+    grams: Grams,
+    /// Improvements of the whole search where there is nothing to find.
+    null: Vec<f64>,
+    contenders: Vec<Contender>,
+    winner: usize,
+    seed: u64,
+}
+
+impl Contest {
+    fn of(designs: &[RunDesign], repetitions: usize, seed: u64, without: &[String]) -> Option<Self> {
+        let half = |h: usize| Fold {
             train: (0..designs.len()).filter(|p| p % 2 != h).collect(),
             test: (0..designs.len()).filter(|p| p % 2 == h).collect(),
-        })
-        .collect();
-    let scales = vec![3.0; width];
-    let grams = Grams::with_blocks(&designs, 0, &scales, None, folds, 100);
-    let mut names: Vec<(&str, Option<usize>)> = Vec::new();
-    let mut groups = Vec::new();
-    for ticks in 1..=LONGEST_DELAY {
-        names.push(("loop-delay", Some(ticks)));
-        groups.push(Group::Linear(vec![ticks]));
-    }
-    names.push(("controller-mismatch", None));
-    let first = 1 + LONGEST_DELAY;
-    groups.push(Group::Linear((first..first + 3).collect()));
-    let keep: Vec<usize> = (0..names.len()).filter(|k| !without.iter().any(|w| w == names[*k].0)).collect();
-    let groups: Vec<Group> = keep.iter().map(|k| groups[*k].clone()).collect();
-    if groups.is_empty() {
-        return out;
-    }
-    let (improvements, null) = grams.screen(&[0], &groups, &[], repetitions, seed);
-    let best_of = |name: &str| {
-        (0..keep.len())
-            .filter(|k| names[keep[*k]].0 == name)
-            .max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))
-    };
-    let best: Vec<usize> = ["loop-delay", "controller-mismatch"].into_iter().filter_map(best_of).collect();
-    let held: Vec<_> = best.iter().map(|k| grams.hold_out(&[0], &groups[*k])).collect();
-    let winner = (0..best.len()).max_by(|a, b| improvements[best[*a]].total_cmp(&improvements[best[*b]])).unwrap_or(0);
-    for (slot, k) in best.iter().enumerate() {
-        let (name, ticks) = names[keep[*k]];
-        let Group::Linear(own) = &groups[*k] else { continue };
-        let (beta, cov) = grams.fit_all(&[vec![0], own.clone()].concat());
-        let parameters = match ticks {
-            Some(ticks) => {
-                let value = ticks as f64;
-                vec![
-                    Estimate { name: "ticks".into(), value, interval: [value - 0.5, value + 0.5], unit: "1".into() },
-                    around("share", beta[1], cov[(1, 1)]),
-                ]
-            }
-            None => ["kp_relative", "ki_relative", "kd_relative"]
-                .iter()
-                .enumerate()
-                .map(|(i, n)| around(n, beta[1 + i], cov[(1 + i, 1 + i)]))
-                .collect(),
         };
-        let gain = held[slot].gain();
-        let interval = held[slot].gain_interval(seed);
-        let p = p_value(improvements[*k], &null);
-        let other_gains = ticks.is_some() || parameters.iter().any(|e| e.value.abs() >= LEAST_MISMATCH);
-        let good = p <= LARGEST_P && gain >= LEAST_GAIN && interval[0] > 0.0 && other_gains;
-        let beaten = slot != winner && held[winner].lead_interval(&held[slot], seed)[0] > 0.0;
-        let tied = good
-            && (0..best.len()).any(|o| {
-                o != slot
-                    && held[o].gain() >= 0.5 * gain
-                    && held[winner].lead_interval(&held[if slot == winner { o } else { slot }], seed)[0] <= 0.0
-            });
-        out.findings.push(Finding {
-            name: name.to_owned(),
-            status: if !good || beaten {
-                Status::Rejected
-            } else if tied {
-                Status::Ambiguous
-            } else {
-                Status::Named
+        let grams = Grams::with_blocks(designs, 0, &[3.0; COLUMNS], None, vec![half(0), half(1)], 100);
+        let changes: Vec<Change> = (1..=LONGEST_DELAY)
+            .map(Change::Delay)
+            .chain([Change::Gains])
+            .filter(|change| !without.iter().any(|w| w == change.name()))
+            .collect();
+        let groups: Vec<Group> = changes.iter().map(|change| Group::Linear(change.columns())).collect();
+        if groups.is_empty() {
+            return None;
+        }
+        let (improvements, null) = grams.screen(&[0], &groups, &[], repetitions, seed);
+        let best_of = |name: &str| {
+            let of_name = (0..changes.len()).filter(|k| changes[*k].name() == name);
+            of_name.max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))
+        };
+        let best = [Change::Delay(0), Change::Gains].into_iter().filter_map(|change| best_of(change.name()));
+        let contenders: Vec<Contender> = best
+            .map(|k| Contender {
+                change: changes[k],
+                improvement: improvements[k],
+                held: grams.hold_out(&[0], &groups[k]),
+            })
+            .collect();
+        let winner = (0..contenders.len())
+            .max_by(|a, b| contenders[*a].improvement.total_cmp(&contenders[*b].improvement))
+            .unwrap_or(0);
+        Some(Self { grams, null, contenders, winner, seed })
+    }
+
+    /// Whether one explains data that it was not fitted to clearly better than the other.
+    fn leads(&self, one: usize, other: usize) -> bool {
+        self.contenders[one].held.lead_interval(&self.contenders[other].held, self.seed)[0] > 0.0
+    }
+
+    fn findings(&self, rms: f64) -> Vec<Finding> {
+        (0..self.contenders.len()).map(|slot| self.finding(slot, rms)).collect()
+    }
+
+    fn finding(&self, slot: usize, rms: f64) -> Finding {
+        let Contender { change, improvement, held } = &self.contenders[slot];
+        let parameters = self.parameters(*change);
+        let gain = held.gain();
+        let interval = held.gain_interval(self.seed);
+        let p = p_value(*improvement, &self.null);
+        let differs = *change != Change::Gains || parameters.iter().any(|e| e.value.abs() >= LEAST_MISMATCH);
+        let good = p <= LARGEST_P && gain >= LEAST_GAIN && interval[0] > 0.0 && differs;
+        let beaten = slot != self.winner && self.leads(self.winner, slot);
+        let as_good = |o: usize| {
+            let loser = if slot == self.winner { o } else { slot };
+            o != slot && self.contenders[o].held.gain() >= 0.5 * gain && !self.leads(self.winner, loser)
+        };
+        let tied = good && (0..self.contenders.len()).any(as_good);
+        Finding {
+            name: change.name().to_owned(),
+            status: match (good && !beaten, tied) {
+                (false, _) => Status::Rejected,
+                (true, true) => Status::Ambiguous,
+                (true, false) => Status::Named,
             },
             probability: None,
             gain,
             gain_interval: interval,
             p_null: p,
             parameters,
-            conflicts: if tied {
-                vec![if name == "loop-delay" { "controller-mismatch" } else { "loop-delay" }.to_owned()]
-            } else {
-                Vec::new()
-            },
+            conflicts: if tied { vec![change.rival().to_owned()] } else { Vec::new() },
             next_experiment: "track a step: a delay moves the control signal's edge, another gain changes its height"
                 .to_owned(),
             share: 0.0,
             note: format!("scored on the control signal: recomputed and logged differ by {rms:.2} duty steps RMS"),
-        });
+        }
     }
-    out
+
+    fn parameters(&self, change: Change) -> Vec<Estimate> {
+        let (beta, cov) = self.grams.fit_all(&[vec![0], change.columns()].concat());
+        match change {
+            Change::Delay(ticks) => {
+                let value = ticks as f64;
+                vec![
+                    Estimate { name: "ticks".into(), value, interval: [value - 0.5, value + 0.5], unit: "1".into() },
+                    around("share", beta[1], cov[(1, 1)]),
+                ]
+            }
+            Change::Gains => ["kp_relative", "ki_relative", "kd_relative"]
+                .iter()
+                .enumerate()
+                .map(|(i, n)| around(n, beta[1 + i], cov[(1 + i, 1 + i)]))
+                .collect(),
+        }
+    }
 }
 
 fn around(name: &str, value: f64, variance: f64) -> Estimate {
-    let half = 1.96 * variance.max(0.0).sqrt();
+    let half = NORMAL_95 * variance.max(0.0).sqrt();
     Estimate { name: name.to_owned(), value, interval: [value - half, value + half], unit: "1".to_owned() }
-}
-
-fn recompute(rows: &[ControlRow], spec: ConfigSpec) -> Option<Recomputed> {
-    let config = Config::try_from(spec).ok()?;
-    let rates = target_rates(rows, f64::from(spec.period_us) * 1e-6);
-    let signal = |spec: ConfigSpec, delay: usize| -> Option<Vec<f64>> {
-        let config = Config::try_from(spec).ok()?;
-        let mut state = State::REST;
-        Some(
-            (0..rows.len())
-                .map(|k| {
-                    let row = &rows[k.saturating_sub(delay)];
-                    let rate = rates[k.saturating_sub(delay)];
-                    let inputs =
-                        Inputs { target: row.target as i32, target_rate: rate as i32, position: row.position as i32 };
-                    f64::from(step(&config, &mut state, inputs).u) / 65_536.0
-                })
-                .collect(),
-        )
-    };
-    let _ = config;
-    let zero = ConfigSpec::THESIS.feed_forward;
-    let only = |p: bool, i: bool, d: bool| {
-        let mut s = spec;
-        if !p {
-            s.kp = zero;
-        }
-        if !i {
-            s.ki_tick = Default::default();
-        }
-        if !d {
-            s.kd_tick = zero;
-        }
-        s.feed_forward = zero;
-        signal(s, 0)
-    };
-    Some(Recomputed {
-        logged: rows.iter().map(|r| r.u).collect(),
-        same: signal(spec, 0)?,
-        delayed: (1..=LONGEST_DELAY).map(|d| signal(spec, d)).collect::<Option<Vec<_>>>()?,
-        parts: [only(true, false, false)?, only(false, true, false)?, only(false, false, true)?],
-    })
 }
 
 /// Rate of the target at every row in counts/s: a cubic through the counts around it, jumps taken out.

@@ -1,7 +1,8 @@
 //! Terms without physics: where the model is wrong when no effect of the library says why.
 
+use super::design::{Basis, Column};
 use super::library::Coordinate;
-use super::problem::{Basis, Column, Problem};
+use super::problem::Problem;
 use twum_record::measurement::RunKind;
 
 /// A smooth family of coefficients over one coordinate.

@@ -9,8 +9,8 @@
 //! independent ones, however many were recorded. Reference: Miller & Dunson, Robust Bayesian inference via coarsening, JASA 114
 //! (2019) 1113; the power of a run's own coefficients by expectation–maximisation (Dempster, Laird & Rubin 1977).
 
+use super::design::RunDesign;
 use super::level::{Level, Taus};
-use super::problem::RunDesign;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 use std::ops::AddAssign;

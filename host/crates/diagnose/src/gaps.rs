@@ -6,7 +6,7 @@
 
 use super::finding::{Estimate, Finding, Status};
 use super::observe::{Observed, Window};
-use super::problem::{Model, Problem, RPM};
+use super::problem::{Model, Problem, RPM, RunResidual};
 use super::stats::HeldOut;
 use super::verdict::{LARGEST_P, LEAST_GAIN};
 use twum_record::measurement::RunKind;
@@ -34,16 +34,8 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
     if !problem.runs.iter().any(usable) {
         return None;
     }
-    // Spread of a weighted residual, from the middle of the distribution: gaps must not set it.
     let now = problem.residuals(model);
-    let mut sizes: Vec<f64> = problem
-        .runs
-        .iter()
-        .zip(&now)
-        .flat_map(|(run, r)| run.windows.iter().zip(&r.rpm).map(|(w, v)| v * v * run.duration(w)))
-        .collect();
-    sizes.sort_by(f64::total_cmp);
-    let variance = (sizes[sizes.len() / 2] / 0.455).max(1e-9);
+    let variance = typical_variance(problem, &now);
     let shifts: Vec<Vec<Vec<f64>>> = (0..=MOST)
         .map(|m| {
             let mut shifted = problem.clone();
@@ -78,45 +70,52 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
     }
     let corrected = Problem::new(runs);
     let after = corrected.residuals(model);
-    let square = |p: &Problem, r: &[super::problem::RunResidual]| -> Vec<f64> {
-        p.runs
-            .iter()
-            .zip(r)
-            .map(|(run, r)| run.windows.iter().zip(&r.rpm).map(|(w, v)| v * v * run.duration(w)).sum())
-            .collect()
-    };
-    let pairs: Vec<[f64; 2]> =
-        square(problem, &now).into_iter().zip(square(&corrected, &after)).map(|(a, b)| [a, b]).collect();
+    let squares = squared(problem, &now).zip(squared(&corrected, &after));
+    let pairs: Vec<[f64; 2]> = squares.map(|(before, after)| [before, after]).collect();
     let held =
         HeldOut { loss: pairs.clone(), plain: pairs, seconds: problem.runs.iter().map(|r| r.compared_s()).collect() };
     let gain = held.gain();
     let p_null = (windows as f64 * (-0.5 * best_improvement).exp()).clamp(1e-6, 1.0);
-    let named = gain >= LEAST_GAIN && p_null <= LARGEST_P;
-    if !named {
+    if gain < LEAST_GAIN || p_null > LARGEST_P {
         return None;
     }
-    let affected = lost.iter().filter(|n| **n > 0).count();
-    Some(Gaps {
-        problem: corrected,
-        finding: Finding {
-            name: "dropped-samples".to_owned(),
-            status: Status::Named,
-            probability: None,
-            gain,
-            gain_interval: held.gain_interval(seed),
-            p_null,
-            parameters: vec![
-                count("words_lost", total as f64),
-                count("runs_affected", affected as f64),
-                Estimate { name: "word_s".to_owned(), value: 0.032, interval: [0.032, 0.032], unit: "s".to_owned() },
-            ],
-            conflicts: Vec::new(),
-            next_experiment: "record again with frame sequence numbers (twum capture reports every loss)".to_owned(),
-            share: 0.0,
-            note: "found in each run by itself; the lost time is put back before anything else is judged".to_owned(),
-        },
-        lost,
-    })
+    let finding = Finding {
+        name: "dropped-samples".to_owned(),
+        status: Status::Named,
+        probability: None,
+        gain,
+        gain_interval: held.gain_interval(seed),
+        p_null,
+        parameters: vec![
+            count("words_lost", total as f64),
+            count("runs_affected", lost.iter().filter(|n| **n > 0).count() as f64),
+            Estimate { name: "word_s".to_owned(), value: 0.032, interval: [0.032, 0.032], unit: "s".to_owned() },
+        ],
+        conflicts: Vec::new(),
+        next_experiment: "record again with frame sequence numbers (twum capture reports every loss)".to_owned(),
+        share: 0.0,
+        note: "found in each run by itself; the lost time is put back before anything else is judged".to_owned(),
+    };
+    Some(Gaps { problem: corrected, lost, finding })
+}
+
+/// Variance of a weighted residual, from the middle of the squares: gaps must not set it. Of a square of variance 1 the median is
+/// 0.455 (chi-squared of one degree).
+fn typical_variance(problem: &Problem, residuals: &[RunResidual]) -> f64 {
+    let of = |(run, r): (&Observed, &RunResidual)| -> Vec<f64> {
+        run.windows.iter().zip(&r.rpm).map(|(w, v)| v * v * run.duration(w)).collect()
+    };
+    let mut squares: Vec<f64> = problem.runs.iter().zip(residuals).flat_map(of).collect();
+    squares.sort_by(f64::total_cmp);
+    (squares[squares.len() / 2] / 0.455).max(1e-9)
+}
+
+/// Squared residual of each run, rpm²·s.
+fn squared(problem: &Problem, residuals: &[RunResidual]) -> impl Iterator<Item = f64> {
+    let of = |(run, r): (&Observed, &RunResidual)| {
+        run.windows.iter().zip(&r.rpm).map(|(w, v)| v * v * run.duration(w)).sum()
+    };
+    problem.runs.iter().zip(residuals).map(of)
 }
 
 fn count(name: &str, value: f64) -> Estimate {

@@ -1,11 +1,12 @@
 //! What sets of effects are weighed on: the runs, the library, and what is free in a model.
 
 use super::baseline::baseline_free;
+use super::design::Column;
 use super::discrepancy::{Term, terms};
 use super::evidence::{Question, independent};
 use super::level::Level;
 use super::library::{Effect, Phased};
-use super::problem::{Column, Model, Problem};
+use super::problem::{Model, Problem};
 use super::refit::{Free, Noise, columns_of, objective, refit};
 use super::rotor::Parameters;
 use super::set::{Part, Set};

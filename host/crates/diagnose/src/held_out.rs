@@ -1,10 +1,11 @@
 //! How well a set of effects does where it was not fitted.
 
+use super::design::Column;
 use super::discrepancy::SIZE;
 use super::ground::Ground;
 use super::library::Phased;
 use super::observe::{Observed, Window};
-use super::problem::{Column, Model, Problem, RPM};
+use super::problem::{Model, Problem, RPM};
 use super::refit::{coefficients, columns_of, refit};
 use super::set::{Part, Set};
 use super::stats::{Fold, Grams, Group, HeldOut, Prior, folds};

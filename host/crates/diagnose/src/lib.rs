@@ -6,6 +6,7 @@
 //!
 //! ```
 //! use twum_diagnose::{Options, diagnose};
+//! use twum_record::convert::changes;
 //! use twum_record::measurement::{DriveResponse, Measurement, Run, RunData, RunKind};
 //!
 //! // An ordinary motor that stands still below a tenth of its input, swept up and down three times.
@@ -29,6 +30,7 @@ pub mod cache;
 pub mod candidate;
 pub mod conclusion;
 pub mod controller;
+pub mod design;
 pub mod discrepancy;
 pub mod evidence;
 pub mod finding;
@@ -48,6 +50,7 @@ mod pwm_line;
 pub mod refit;
 pub mod rotor;
 pub mod runs;
+pub mod saved;
 pub mod search;
 pub mod set;
 pub mod stats;
@@ -60,6 +63,7 @@ use observe::{Observed, observe};
 use problem::Problem;
 use rotor::{P, Parameters};
 use runs::diagnose_runs;
+use twum_record::convert::changes;
 use twum_record::measurement::{Format, Measurement, Run, RunData, RunKind};
 
 /// Why nothing could be diagnosed.
@@ -246,10 +250,9 @@ fn contradictions(run: &Run) -> Vec<String> {
     let mut out = Vec::new();
     let id = &run.id;
     let last_edge_s = match &run.data {
-        RunData::Levels { start_us, period_us, levels } => (1..levels.len())
-            .rev()
-            .find(|i| levels[*i] != levels[*i - 1])
-            .map(|i| (start_us + i as f64 * period_us) * 1e-6),
+        RunData::Levels { start_us, period_us, levels } => {
+            changes(levels).next_back().map(|i| (start_us + i as f64 * period_us) * 1e-6)
+        }
         RunData::Edges { edges, .. } => edges.last().map(|e| e.time_us * 1e-6),
         _ => None,
     };

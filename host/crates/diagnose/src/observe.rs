@@ -2,6 +2,7 @@
 
 use super::rotor::{Period, Schedule};
 use std::f64::consts::TAU;
+use twum_record::convert::changes;
 use twum_record::measurement::{Direction, Run, RunData, RunKind};
 
 /// A stretch between two measured times over which the measured angle advance is known (or bounded).
@@ -206,10 +207,8 @@ pub fn observe(run: &Run, edges_per_rev: u32) -> Result<Observed, Refusal> {
             if levels.len() < 2 {
                 return Err(format!("run {}: {} samples, too few to show an edge", run.id, levels.len()));
             }
-            let edges: Vec<(f64, bool)> = (1..levels.len())
-                .filter(|i| levels[*i] != levels[*i - 1])
-                .map(|i| ((start_us + (i as f64 - 0.5) * period_us) * 1e-6, levels[i]))
-                .collect();
+            let edges: Vec<(f64, bool)> =
+                changes(levels).map(|i| ((start_us + (i as f64 - 0.5) * period_us) * 1e-6, levels[i])).collect();
             o.time_spread = period_us * 1e-6 / 12f64.sqrt();
             let end = (start_us + (levels.len() - 1) as f64 * period_us) * 1e-6;
             from_edges(&mut o, run, &edges, levels[0], start_us * 1e-6, end)?;
@@ -219,36 +218,7 @@ pub fn observe(run: &Run, edges_per_rev: u32) -> Result<Observed, Refusal> {
             o.time_spread = 2e-6;
             from_edges(&mut o, run, &list, *initial, start_us * 1e-6, end_us * 1e-6)?;
         }
-        RunData::Velocity { time_us, rpm } => {
-            if rpm.len() < 10 {
-                return Err(format!("run {}: {} speed samples, too few", run.id, rpm.len()));
-            }
-            let duty = run.duty.ok_or_else(|| format!("run {}: no duty given", run.id))?;
-            o.pitch = 0.0;
-            o.record_end = time_us[time_us.len() - 1] * 1e-6;
-            o.drive_end = run.drive_on_s.unwrap_or(o.record_end);
-            o.schedule = Schedule::constant(duty, sign, run.pwm_hz, run.pwm_phase_s, o.drive_end);
-            let mut angle = 0.0;
-            let n = rpm.len();
-            for k in 0..=n {
-                let t = if k == 0 {
-                    1.5 * time_us[0] - 0.5 * time_us[1]
-                } else if k == n {
-                    1.5 * time_us[n - 1] - 0.5 * time_us[n - 2]
-                } else {
-                    0.5 * (time_us[k - 1] + time_us[k])
-                } * 1e-6;
-                if k > 0 {
-                    let before = o.times[k - 1];
-                    let advance = rpm[k - 1] * TAU / 60.0 * (t - before);
-                    angle += advance;
-                    o.windows.push(Window { from: k - 1, to: k, low: advance, high: advance });
-                }
-                o.times.push(t);
-                o.angles.push(angle);
-                o.level.push(0);
-            }
-        }
+        RunData::Velocity { time_us, rpm } => from_speeds(&mut o, run, time_us, rpm)?,
         RunData::Control(rows) => {
             if rows.len() < 10 {
                 return Err(format!("run {}: {} control samples, too few", run.id, rows.len()));
@@ -263,6 +233,39 @@ pub fn observe(run: &Run, edges_per_rev: u32) -> Result<Observed, Refusal> {
         return Err(format!("run {}: a time or value is not a number", run.id));
     }
     Ok(o)
+}
+
+/// Speeds in time: each stands for the time half way to its neighbours.
+fn from_speeds(o: &mut Observed, run: &Run, time_us: &[f64], rpm: &[f64]) -> Result<(), Refusal> {
+    if rpm.len() < 10 {
+        return Err(format!("run {}: {} speed samples, too few", run.id, rpm.len()));
+    }
+    let duty = run.duty.ok_or_else(|| format!("run {}: no duty given", run.id))?;
+    o.pitch = 0.0;
+    o.record_end = time_us[time_us.len() - 1] * 1e-6;
+    o.drive_end = run.drive_on_s.unwrap_or(o.record_end);
+    o.schedule = Schedule::constant(duty, o.direction, run.pwm_hz, run.pwm_phase_s, o.drive_end);
+    let mut angle = 0.0;
+    let n = rpm.len();
+    for k in 0..=n {
+        let t = if k == 0 {
+            1.5 * time_us[0] - 0.5 * time_us[1]
+        } else if k == n {
+            1.5 * time_us[n - 1] - 0.5 * time_us[n - 2]
+        } else {
+            0.5 * (time_us[k - 1] + time_us[k])
+        } * 1e-6;
+        if k > 0 {
+            let before = o.times[k - 1];
+            let advance = rpm[k - 1] * TAU / 60.0 * (t - before);
+            angle += advance;
+            o.windows.push(Window { from: k - 1, to: k, low: advance, high: advance });
+        }
+        o.times.push(t);
+        o.angles.push(angle);
+        o.level.push(0);
+    }
+    Ok(())
 }
 
 fn from_edges(

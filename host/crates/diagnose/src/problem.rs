@@ -29,52 +29,6 @@ pub struct Model {
     pub terms: Vec<RunTerms>,
 }
 
-/// A direction in parameter space along which residuals are differentiated.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Column {
-    /// A common parameter; other parameters are first set as listed (shape of the effect).
-    Scalar {
-        /// What is varied.
-        parameter: P,
-        /// Size of one unit of the column.
-        scale: f64,
-        /// Finite step, in units of the parameter.
-        step: f64,
-        /// Shape parameters set before.
-        shape: Vec<(P, f64)>,
-    },
-    /// The delay of the record behind the drive, by a hundredth of a second, in hat `k` of `n` over time.
-    Lag(usize, usize),
-    /// A coefficient of [`RunTerms::runout`].
-    Runout(usize),
-    /// A coefficient of [`RunTerms::eccentricity`].
-    Eccentricity(usize),
-    /// A coefficient of [`RunTerms::gravity`].
-    Gravity(usize),
-    /// A phased coefficient with parameters first set as listed (shape of the effect).
-    Shaped(Box<Column>, Vec<(P, f64)>),
-    /// Relative speed error times a basis function of the window, for terms that stand for no physics.
-    Flexible(Basis),
-}
-
-/// Basis functions of the flexible terms.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Basis {
-    /// Hat `k` of `n` over the time since the start of the drive (0 to the longest run).
-    Time(usize, usize),
-    /// Hat `k` of `n` over the phase in the PWM period (cyclic).
-    Phase(usize, usize),
-    /// 1 in a PWM period, −1 in the next, averaged over the window.
-    EveryOtherPeriod,
-    /// The sign of the slot a window begins with, where it ends with one of the other kind.
-    Slot,
-    /// `cos` (even) or `sin` (odd) of harmonic `k/2 + 1` of the measured angle.
-    Angle(usize),
-    /// The free speed, in millisecond `k` after each rise of the drive or (`false`) each fall: what the rotor equation leaves out of
-    /// the wave's coming and going.
-    AfterSwitching(bool, usize),
-}
-
 /// Residuals of one run.
 #[derive(Debug, Clone, Default)]
 pub struct RunResidual {
@@ -148,7 +102,7 @@ impl Problem {
     }
 
     /// Warmth each run starts with.
-    fn warmth(&self, p: &Parameters) -> Vec<f64> {
+    pub(super) fn warmth(&self, p: &Parameters) -> Vec<f64> {
         let mut start = vec![0.0; self.runs.len()];
         let carry = p.get(P::HeatCarry);
         if let Some(sequence) = &self.sequence
@@ -201,7 +155,7 @@ impl Problem {
         }
     }
 
-    fn run_residual(&self, i: usize, p: &Parameters, terms: &RunTerms, warmth: f64) -> RunResidual {
+    pub(super) fn run_residual(&self, i: usize, p: &Parameters, terms: &RunTerms, warmth: f64) -> RunResidual {
         let run = &self.runs[i];
         let input = self.input(i, warmth);
         let mut angle = Vec::with_capacity(run.times.len());
@@ -239,188 +193,4 @@ impl Problem {
         }
         out
     }
-
-    /// Residuals of a run with one phased coefficient larger by a step, and the step.
-    fn phased_step(
-        &self,
-        i: usize,
-        column: &Column,
-        p: &Parameters,
-        terms: &RunTerms,
-        warmth: f64,
-    ) -> (RunResidual, f64) {
-        let mut terms = *terms;
-        let step = match column {
-            Column::Runout(h) => {
-                terms.runout[*h] += 0.01;
-                0.01
-            }
-            Column::Eccentricity(h) => {
-                terms.eccentricity[*h] += 1e-3;
-                1e-3
-            }
-            Column::Gravity(h) => {
-                terms.gravity[*h] += 0.01;
-                0.01
-            }
-            _ => 1.0,
-        };
-        (self.run_residual(i, p, &terms, warmth), step)
-    }
-
-    /// Predicted-speed derivatives of one run for each column, weighted like the residuals: rows are windows.
-    pub fn design(&self, model: &Model, columns: &[Column]) -> Vec<RunDesign> {
-        let warmth = self.warmth(&model.parameters);
-        let shaped: Vec<Option<ShapedColumn>> = columns
-            .iter()
-            .map(|c| match c {
-                Column::Scalar { parameter, scale, step, shape } => {
-                    let mut base = model.parameters.clone();
-                    for (q, v) in shape {
-                        base.set(*q, *v);
-                    }
-                    let moved = base.with(*parameter, base.get(*parameter) + step);
-                    let same_base = shape.is_empty() || base.get(*parameter) == 0.0;
-                    Some(ShapedColumn {
-                        warm_base: self.warmth(&base),
-                        warm_moved: self.warmth(&moved),
-                        base: (!same_base).then_some(base),
-                        moved,
-                        factor: scale / step,
-                    })
-                }
-                _ => None,
-            })
-            .collect();
-        let longest = self.runs.iter().map(|r| r.drive_end).fold(0.0, f64::max).max(1e-6);
-        (0..self.runs.len())
-            .into_par_iter()
-            .map(|i| {
-                let run = &self.runs[i];
-                let p = &model.parameters;
-                let now = self.run_residual(i, p, &model.terms[i], warmth[i]);
-                let n = run.windows.len();
-                let weight: Vec<f64> = run.windows.iter().map(|w| run.duration(w).max(0.0).sqrt()).collect();
-                let mut x = vec![0.0; n * columns.len()];
-                for (c, column) in columns.iter().enumerate() {
-                    let mut put = |values: &dyn Fn(usize) -> f64| {
-                        for k in 0..n {
-                            x[k * columns.len() + c] = weight[k] * values(k);
-                        }
-                    };
-                    match column {
-                        Column::Scalar { .. } => {
-                            let s = shaped[c].as_ref().expect("scalar columns are shaped above");
-                            let moved = self.run_residual(i, &s.moved, &model.terms[i], s.warm_moved[i]);
-                            match &s.base {
-                                None => put(&|k| (now.rpm[k] - moved.rpm[k]) * s.factor),
-                                Some(base) => {
-                                    let base = self.run_residual(i, base, &model.terms[i], s.warm_base[i]);
-                                    put(&|k| (base.rpm[k] - moved.rpm[k]) * s.factor);
-                                }
-                            }
-                        }
-                        Column::Lag(j, n) => {
-                            let step = 5e-4;
-                            let later = p.with(P::Latency, p.get(P::Latency) + step);
-                            let moved = self.run_residual(i, &later, &model.terms[i], warmth[i]);
-                            put(&|k| {
-                                let w = &run.windows[k];
-                                let t = 0.5 * (run.times[w.from] + run.times[w.to]);
-                                (now.rpm[k] - moved.rpm[k]) / step * 1e-2 * hat(*j, *n, t / longest)
-                            });
-                        }
-                        Column::Runout(_) | Column::Eccentricity(_) | Column::Gravity(_) => {
-                            let moved = self.phased_step(i, column, p, &model.terms[i], warmth[i]);
-                            put(&|k| (now.rpm[k] - moved.0.rpm[k]) / moved.1);
-                        }
-                        Column::Shaped(phased, shape) => {
-                            let shaped = shape.iter().fold(p.clone(), |q, (which, value)| q.with(*which, *value));
-                            let moved = self.phased_step(i, phased, &shaped, &model.terms[i], warmth[i]);
-                            put(&|k| (now.rpm[k] - moved.0.rpm[k]) / moved.1);
-                        }
-                        Column::Flexible(basis) => {
-                            let value = |k: usize| {
-                                let w = &run.windows[k];
-                                let t = 0.5 * (run.times[w.from] + run.times[w.to]);
-                                let theta = 0.5 * (run.angles[w.from] + run.angles[w.to]);
-                                let period = 1.0 / run.pwm_hz;
-                                let b = match *basis {
-                                    Basis::Time(j, n) => hat(j, n, t / longest),
-                                    Basis::Phase(j, n) => cyclic_hat(j, n, t / period),
-                                    Basis::EveryOtherPeriod => {
-                                        let between = [run.times[w.from], run.times[w.to]];
-                                        period * (parity(between[1] / period) - parity(between[0] / period))
-                                            / run.duration(w).max(1e-6)
-                                    }
-                                    Basis::Slot => {
-                                        let slots = f64::from(run.level[w.from] - run.level[w.to]);
-                                        return run.direction * 0.5 * slots * run.pitch / run.duration(w).max(1e-6)
-                                            * RPM;
-                                    }
-                                    Basis::Angle(j) => {
-                                        let h = (j / 2 + 1) as f64 * theta;
-                                        if j % 2 == 0 { h.cos() } else { h.sin() }
-                                    }
-                                    Basis::AfterSwitching(rise, j) => {
-                                        let share = run.schedule.share_after_switching(
-                                            [run.times[w.from], run.times[w.to]],
-                                            rise,
-                                            1e-3 * j as f64,
-                                            p,
-                                        );
-                                        return run.direction * share * p.get(P::FreeSpeed) * RPM;
-                                    }
-                                };
-                                b * now.predicted[k]
-                            };
-                            put(&value);
-                        }
-                    }
-                }
-                let y = now.rpm.iter().zip(&weight).map(|(r, w)| r * w).collect();
-                RunDesign { columns: columns.len(), x, y, weight, seconds: run.compared_s() }
-            })
-            .collect()
-    }
-}
-
-struct ShapedColumn {
-    base: Option<Parameters>,
-    moved: Parameters,
-    warm_base: Vec<f64>,
-    warm_moved: Vec<f64>,
-    factor: f64,
-}
-
-/// Piecewise linear basis function `j` of `n` over 0..1.
-fn hat(j: usize, n: usize, x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0) * (n - 1) as f64;
-    (1.0 - (x - j as f64).abs()).max(0.0)
-}
-
-/// The integral over `periods` of what is 1 in a period and −1 in the next.
-fn parity(periods: f64) -> f64 {
-    1.0 - (periods.rem_euclid(2.0) - 1.0).abs()
-}
-
-/// Piecewise linear basis function `j` of `n` over the fraction of a period.
-fn cyclic_hat(j: usize, n: usize, periods: f64) -> f64 {
-    let d = (periods.rem_euclid(1.0) * n as f64 - j as f64).rem_euclid(n as f64);
-    (1.0 - d.min(n as f64 - d)).max(0.0)
-}
-
-/// Weighted residuals and derivatives of one run.
-#[derive(Debug, Clone)]
-pub struct RunDesign {
-    /// Number of columns.
-    pub columns: usize,
-    /// Row-major windows × columns, in rpm·√s.
-    pub x: Vec<f64>,
-    /// Residual (measured − predicted) in rpm·√s.
-    pub y: Vec<f64>,
-    /// Square root of each window's duration in √s.
-    pub weight: Vec<f64>,
-    /// Time compared in s; the mean squared residual is `Σy²/seconds`.
-    pub seconds: f64,
 }

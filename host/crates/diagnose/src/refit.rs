@@ -5,9 +5,10 @@
 //! Reference: Nocedal & Wright, Numerical Optimization, 2nd ed., chapter 10 (Gauss–Newton with backtracking); the runs' own
 //! coefficients are eliminated by their Schur complement.
 
+use super::design::{Column, RunDesign};
 use super::library::Phased;
 use super::prior::Prior;
-use super::problem::{Column, Model, Problem, RunDesign};
+use super::problem::{Model, Problem};
 use super::rotor::P;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;

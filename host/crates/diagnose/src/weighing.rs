@@ -1,13 +1,14 @@
 //! What a refitted set weighs: its evidence, its priors, what effects cost, and the terms without physics that the data ask for beside it.
 
 use super::baseline::first_noise;
+use super::design::{Basis, Column};
 use super::discrepancy::{SIZE, Term};
 use super::evidence::{Equations, Question, Spreads, Start, Weighed, weigh};
 use super::ground::Ground;
 use super::level::Level;
 use super::library::Phased;
 use super::observe::Observed;
-use super::problem::{Basis, Column, Model};
+use super::problem::Model;
 use super::refit::coefficients;
 use super::set::{Course, Part, Set};
 use rayon::prelude::*;

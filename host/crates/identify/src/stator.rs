@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use twum_fit::quantile::{NORMAL_95, student_95};
+use twum_fit::quantile::{NORMAL_95, quantiles, student_95};
 
 /// Force factor of the 30 mm PCBMotor in the thesis (N/V, section A.4), found there by trial.
 pub const THESIS_FORCE_FACTOR: f64 = 0.5439;
@@ -213,22 +213,8 @@ pub fn identify(sweep: &Sweep, options: &Options) -> Option<Identification> {
         ci95.insert("cd_f", interval(None, &WHOLE[0]));
     }
     ci95.insert("rd_ohm", rd_interval(&fit));
-    let mut modes: Vec<ModeReport> = circuit
-        .modes
-        .iter()
-        .enumerate()
-        .map(|(i, m)| ModeReport {
-            main: main == Some(i),
-            fs_hz: m.fs_hz,
-            fp_hz: m.fp_hz(circuit.cd_f),
-            c_f: m.c_f,
-            l_h: m.l_h(),
-            r_ohm: m.r_ohm(),
-            q: m.q,
-            ci95: MODAL.iter().map(|q| (q.name, interval(Some(i), q))).collect(),
-        })
-        .collect();
-    modes.sort_by(|a, b| a.fs_hz.total_cmp(&b.fs_hz));
+    let of_mode = |i: usize| MODAL.iter().map(|q| (q.name, interval(Some(i), q))).collect();
+    let modes = mode_reports(&circuit, main, &of_mode);
     let read_off =
         main.map(|i| circuit.modes[i]).and_then(|m| thesis::estimate(&thesis::admittances(sweep), m.fs_hz, m.q));
     let get = |name: &str| values.get(name).copied();
@@ -268,6 +254,23 @@ pub fn identify(sweep: &Sweep, options: &Options) -> Option<Identification> {
         notes: notes(sweep, &fit, verdict, options),
     };
     Some(Identification { report, fit, ellipse: read_off.map(|r| r.1) })
+}
+
+/// Every mode with its intervals, by frequency.
+fn mode_reports(circuit: &Circuit, main: Option<usize>, intervals: &dyn Fn(usize) -> Intervals) -> Vec<ModeReport> {
+    let of = |(i, m): (usize, &Mode)| ModeReport {
+        main: main == Some(i),
+        fs_hz: m.fs_hz,
+        fp_hz: m.fp_hz(circuit.cd_f),
+        c_f: m.c_f,
+        l_h: m.l_h(),
+        r_ohm: m.r_ohm(),
+        q: m.q,
+        ci95: intervals(i),
+    };
+    let mut modes: Vec<ModeReport> = circuit.modes.iter().enumerate().map(of).collect();
+    modes.sort_by(|a, b| a.fs_hz.total_cmp(&b.fs_hz));
+    modes
 }
 
 const NO_MODE: Mode = Mode { fs_hz: f64::NAN, c_f: f64::NAN, q: f64::NAN };
@@ -368,16 +371,14 @@ fn bootstrap(sweep: &Sweep, fit: &Fit, options: &Options) -> Vec<Circuit> {
 }
 
 fn percentiles(replicates: &[Circuit], extra: f64, of: impl Fn(&Circuit) -> f64) -> Option<[f64; 2]> {
-    let mut values: Vec<f64> = replicates.iter().map(of).filter(|v| v.is_finite()).collect();
+    let values: Vec<f64> = replicates.iter().map(of).filter(|v| v.is_finite()).collect();
     if values.len() < 20 {
         return None;
     }
-    values.sort_by(f64::total_cmp);
-    let at = |share: f64| values[((values.len() - 1) as f64 * share).round() as usize];
-    let middle = at(0.5);
+    let [low, middle, high] = quantiles(values, [0.025, 0.5, 0.975]);
     // A further independent uncertainty adds in quadrature to each half.
     let widen = |end: f64| middle * ((end / middle).ln().hypot(NORMAL_95 * extra) * (end - middle).signum()).exp();
-    Some(if extra > 0.0 { [widen(at(0.025)), widen(at(0.975))] } else { [at(0.025), at(0.975)] })
+    Some(if extra > 0.0 { [widen(low), widen(high)] } else { [low, high] })
 }
 
 /// A sweep made from a known circuit, without noise; the base of synthetic studies and of the simulated bench.

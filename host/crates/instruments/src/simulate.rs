@@ -288,26 +288,7 @@ fn scope_answers(state: &mut State, command: &str) -> Option<Vec<u8>> {
     let zed = family == Family::Ds1104z;
     let number = argument.parse::<f64>().ok().filter(|v| v.is_finite());
     if let Some(rest) = head.strip_prefix(":CHAN") {
-        let (Some(channel), Some(what)) = (
-            rest.get(..1).and_then(|c| c.parse::<usize>().ok()).filter(|c| (1..=2).contains(c)).map(|c| c - 1),
-            rest.get(1..),
-        ) else {
-            return state.refuse(command);
-        };
-        return match (what, number) {
-            (":SCAL?", _) => text(format!("{:e}", state.scale[channel])),
-            (":OFFS?", _) => text(format!("{:e}", state.offset[channel])),
-            (":SCAL", Some(v)) if (0.002..=10.0).contains(&v) => {
-                state.scale[channel] = v;
-                None
-            }
-            (":OFFS", Some(v)) => {
-                state.offset[channel] = v;
-                None
-            }
-            (":DISP" | ":COUP", _) => None,
-            _ => state.refuse(command),
-        };
+        return channel_answers(state, command, rest, number);
     }
     match (head, number) {
         ("*IDN?", _) if zed => text("RIGOL TECHNOLOGIES,DS1104Z,DS1ZD000000000,00.04.04"),
@@ -349,24 +330,46 @@ fn scope_answers(state: &mut State, command: &str) -> Option<Vec<u8>> {
             let origin = (state.offset[c] / dv).round();
             text(format!("0,0,1200,1,{dt:e},{:e},0,{dv:e},{origin},127", -6.0 * s + state.delay_s))
         }
-        (":WAV:DATA?", _) => {
-            let channel = match argument {
-                "" if zed => state.source,
-                "CHAN1" if !zed => 0,
-                "CHAN2" if !zed => 1,
-                _ => return state.refuse(command),
-            };
-            let data = match &state.frozen {
-                Some(records) => records[channel].clone(),
-                None => return state.refuse(command),
-            };
-            let mut answer =
-                if zed { format!("#9{:09}", data.len()) } else { format!("#8{:08}", data.len()) }.into_bytes();
-            answer.extend(data);
-            Some(answer)
-        }
+        (":WAV:DATA?", _) => record(state, argument).or_else(|| state.refuse(command)),
         _ => state.refuse(command),
     }
+}
+
+/// `rest` of a command to a channel: its number and what is asked of it.
+fn channel_answers(state: &mut State, command: &str, rest: &str, number: Option<f64>) -> Option<Vec<u8>> {
+    let channel = match rest.get(..1) {
+        Some("1") => 0,
+        Some("2") => 1,
+        _ => return state.refuse(command),
+    };
+    match (&rest[1..], number) {
+        (":SCAL?", _) => text(format!("{:e}", state.scale[channel])),
+        (":OFFS?", _) => text(format!("{:e}", state.offset[channel])),
+        (":SCAL", Some(v)) if (0.002..=10.0).contains(&v) => {
+            state.scale[channel] = v;
+            None
+        }
+        (":OFFS", Some(v)) => {
+            state.offset[channel] = v;
+            None
+        }
+        (":DISP" | ":COUP", _) => None,
+        _ => state.refuse(command),
+    }
+}
+
+/// A channel's record as a block, if there is one: the DS1104Z gives that of its source, the DS1052E the one that is named.
+fn record(state: &State, argument: &str) -> Option<Vec<u8>> {
+    let zed = state.setup.family == Family::Ds1104z;
+    let channel = match argument {
+        "" if zed => state.source,
+        "CHAN1" if !zed => 0,
+        "CHAN2" if !zed => 1,
+        _ => return None,
+    };
+    let data = &state.frozen.as_ref()?[channel];
+    let head = if zed { format!("#9{:09}", data.len()) } else { format!("#8{:08}", data.len()) };
+    Some([head.as_bytes(), data].concat())
 }
 
 fn arm(state: &mut State) -> Option<Vec<u8>> {

@@ -15,6 +15,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::PI;
 use thiserror::Error;
+use twum_fit::quantile::quantiles;
 use twum_shared::reference::Reference;
 use twum_shared::safety::Limits;
 use twum_shared::step::{Config, ConfigError};
@@ -220,16 +221,9 @@ fn follow(
 }
 
 impl Spread {
-    /// Of values in any order; linear between neighbours.
-    fn of(mut values: Vec<f64>) -> Self {
-        values.sort_by(f64::total_cmp);
-        let at = |share: f64| {
-            let place = share * values.len().saturating_sub(1) as f64;
-            let (low, high) = (place.floor() as usize, place.ceil() as usize);
-            let value = |i: usize| values.get(i).copied().unwrap_or(f64::NAN);
-            value(low) + (place - place.floor()) * (value(high) - value(low))
-        };
-        Self { median: at(0.5), p90: at(0.9) }
+    fn of(values: Vec<f64>) -> Self {
+        let [median, p90] = quantiles(values, [0.5, 0.9]);
+        Self { median, p90 }
     }
 }
 
@@ -256,14 +250,6 @@ mod tests {
             assert_eq!(pair[0].outcomes, pair[1].outcomes);
             assert!(pair[0].outcomes.windows(2).all(|o| o[0] != o[1]));
         }
-    }
-
-    #[test]
-    fn a_spread_is_between_its_neighbours() {
-        let spread = Spread::of(vec![4.0, 0.0, 1.0, 3.0, 2.0]);
-        assert_eq!((spread.median, spread.p90), (2.0, 3.6));
-        assert_eq!(Spread::of(vec![5.0]), Spread { median: 5.0, p90: 5.0 });
-        assert!(Spread::of(Vec::new()).median.is_nan());
     }
 
     /// A controller that does nothing is as far off as the sine goes: 2/π of 80.1°, and the board would have stopped none.

@@ -1,5 +1,6 @@
 //! What a measurement folder holds, and what a person should know before trusting it.
 
+use super::convert::changes;
 use super::measurement::{ControlSpec, Direction, Format, Measurement, Run, RunData, RunKind};
 use serde::Serialize;
 
@@ -66,7 +67,7 @@ fn check_run(run: &Run) -> RunCheck {
 
 fn edge_count(data: &RunData) -> Option<usize> {
     match data {
-        RunData::Levels { levels, .. } => Some(levels.windows(2).filter(|pair| pair[0] != pair[1]).count()),
+        RunData::Levels { levels, .. } => Some(changes(levels).count()),
         RunData::Edges { edges, .. } => Some(edges.len()),
         _ => None,
     }
@@ -99,7 +100,7 @@ fn notes(run: &Run, end_s: f64) -> Vec<String> {
     }
     match &run.data {
         RunData::Levels { levels, .. } => {
-            let edges: Vec<usize> = (1..levels.len()).filter(|i| levels[*i] != levels[i - 1]).collect();
+            let edges: Vec<usize> = changes(levels).collect();
             let close = edges.windows(2).filter(|pair| pair[1] - pair[0] < 2).count();
             if edges.is_empty() {
                 notes.push("no edge: the motor did not turn, or the encoder was silent".to_owned());

@@ -22,14 +22,18 @@ pub fn most_instants(edges: usize) -> usize {
     (1_000_000 + edges.saturating_mul(5_000)).min(MAX_LOADED_BYTES)
 }
 
+/// Samples whose level is not that of the one before.
+pub fn changes(levels: &[bool]) -> impl DoubleEndedIterator<Item = usize> {
+    (1..levels.len()).filter(|k| levels[*k] != levels[k - 1])
+}
+
 /// The edges of a sampled encoder line. An edge first seen at sample `k` happened after sample `k - 1`; its time is set to
 /// the middle of that interval (thesis, A.7), so it is uncertain by half a sampling period either way.
 ///
 /// Data that are not levels come back as they are.
 pub fn to_edges(data: RunData) -> RunData {
     let RunData::Levels { start_us, period_us, levels } = data else { return data };
-    let edges = (1..levels.len())
-        .filter(|k| levels[*k] != levels[k - 1])
+    let edges = changes(&levels)
         .map(|k| LevelEdge { time_us: start_us + (k as f64 - 0.5) * period_us, level: levels[k] })
         .collect();
     RunData::Edges {

@@ -6,6 +6,7 @@
 //! counted the wrong way (`reversal-miscount` among the effects).
 
 use super::{SignalError, check_positive};
+use twum_record::convert::changes;
 use twum_record::measurement::{Direction, LevelEdge};
 
 /// Direction of rotation over time.
@@ -107,8 +108,7 @@ impl EdgeTrain {
     ) -> Result<Self, SignalError> {
         check_positive("the sampling period (µs)", period_us)?;
         let at = |i: usize| start_us + i as f64 * period_us;
-        let changes = levels.windows(2).enumerate().filter(|(_, w)| w[0] != w[1]);
-        let intervals = changes.map(|(i, _)| (at(i), at(i + 1)));
+        let intervals = changes(levels).map(|i| (at(i - 1), at(i)));
         Self::new(start_us, at(levels.len().saturating_sub(1)), edges_per_rev, intervals, directions)
     }
 

@@ -94,6 +94,14 @@ pub enum SignalError {
         /// Turns in the record.
         turns: f64,
     },
+    /// More rotation than the samples can show.
+    #[error("{turns:.3e} turns in {samples} samples: no more than one turn in two of them can be seen")]
+    TooManyTurns {
+        /// Turns in the record.
+        turns: f64,
+        /// Samples of it.
+        samples: usize,
+    },
     /// A count that moves faster than any encoder.
     #[error("the count goes from {from} to {to} in one step (row {index}): that is no encoder's")]
     Jump {

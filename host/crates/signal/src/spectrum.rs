@@ -56,7 +56,7 @@ pub fn against_time(signal: &[f64], period_s: f64) -> Result<Spectrum, SignalErr
 /// whole record counts: where the rotor turns back, the record is left out until it has come past again.
 ///
 /// # Errors
-/// As [`against_time`], and [`SignalError::TooFewTurns`] below one turn.
+/// As [`against_time`], and [`SignalError::TooFewTurns`] below one turn, [`SignalError::TooManyTurns`] above one in two samples.
 pub fn against_angle(position_rad: &[f64], speed_rpm: &[f64]) -> Result<Spectrum, SignalError> {
     let sign = match (position_rad.first(), position_rad.last()) {
         (Some(first), Some(last)) if last < first => -1.0,
@@ -75,6 +75,9 @@ pub fn against_angle(position_rad: &[f64], speed_rpm: &[f64]) -> Result<Spectrum
     };
     if turns < 1.0 {
         return Err(SignalError::TooFewTurns { turns });
+    }
+    if turns > onwards.len() as f64 / 2.0 {
+        return Err(SignalError::TooManyTurns { turns, samples: onwards.len() });
     }
     let start = onwards[0].0;
     let mut i = 0;
@@ -142,5 +145,7 @@ mod tests {
         assert!(matches!(against_time(&[1.0; 5], 1.0), Err(SignalError::TooShort { .. })));
         assert!(matches!(against_angle(&[0.0, 1.0], &[1.0, 1.0]), Err(SignalError::TooFewTurns { .. })));
         assert!(matches!(against_angle(&[], &[]), Err(SignalError::TooFewTurns { .. })));
+        let far = against_angle(&[0.0, 1e15, 2e15], &[1.0, 1.0, 1.0]);
+        assert!(matches!(far, Err(SignalError::TooManyTurns { samples: 3, .. })));
     }
 }

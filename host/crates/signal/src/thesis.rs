@@ -9,6 +9,7 @@ use super::filters::{Butterworth, LANES, median, moving_average};
 use super::spline::Spline;
 use super::{RAD_S_TO_RPM, SignalError};
 use nalgebra::{DMatrix, DVector};
+use twum_record::convert::changes;
 
 /// Samples in the window of the local cubic.
 pub const WINDOW: usize = 21;
@@ -59,10 +60,10 @@ pub fn estimate(
     let step_rad = (std::f64::consts::TAU / f64::from(edges_per_rev) * 1e5).round() / 1e5;
     let (mut event_s, mut event_rad) = (vec![0.0], vec![0.0]);
     let mut level_off = 0;
-    for (i, _) in levels.windows(2).enumerate().filter(|(_, w)| w[0] != w[1]) {
+    for i in changes(levels) {
         event_rad.push((event_s.len() as f64 - 0.5) * step_rad);
-        event_s.push((i as f64 + 0.5) * period_s);
-        level_off = i + 2;
+        event_s.push((i as f64 - 0.5) * period_s);
+        level_off = i + 1;
     }
     if level_off == 0 {
         return Ok(ThesisEstimate::empty());

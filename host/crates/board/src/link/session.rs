@@ -9,8 +9,10 @@ use twum_record::store::{Sender, StoreError, Writer};
 use twum_shared::frame::{self, FrameError, Header, MAX_ENCODED};
 use twum_shared::message::{DeviceMessage, HostMessage, Pass, RunEnd};
 
-/// A keepalive goes out this often while the session holds the motor: well inside the device's command timeout.
-const KEEPALIVE: Duration = Duration::from_millis(100);
+/// A keepalive goes out this often while the session holds the motor: well inside the device's command timeout. It is recorded, so a
+/// disk that is full is met within this time, whatever the board has to say; with the longest line of the driver board (40 ms)
+/// and a turn of the waiting the drive is then off within 100 ms.
+const KEEPALIVE: Duration = Duration::from_millis(30);
 /// An interruption is seen within this time.
 const INTERRUPTION: Duration = Duration::from_millis(10);
 

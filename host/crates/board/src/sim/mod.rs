@@ -6,6 +6,7 @@
 mod board;
 pub mod clock;
 mod driver_board;
+mod firmware;
 mod flash;
 mod hybrid;
 mod motor;

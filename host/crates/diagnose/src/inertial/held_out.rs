@@ -1,6 +1,6 @@
 //! How well a set of effects of an ordinary motor does where it was not fitted.
 
-use super::super::problem::RunDesign;
+use super::super::design::RunDesign;
 use super::super::stats::{Fold, Grams, Group, HeldOut, p_value};
 use super::data::Data;
 use super::fit::{Block, Plant, derivatives, refit};

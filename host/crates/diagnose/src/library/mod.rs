@@ -20,7 +20,8 @@ mod stribeck_friction;
 mod supply_sag;
 mod unequal_edges;
 
-use super::problem::{Column, Problem};
+use super::design::Column;
+use super::problem::Problem;
 use super::rotor::P;
 use twum_record::measurement::RunKind;
 

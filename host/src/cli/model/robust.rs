@@ -1,7 +1,8 @@
 //! `twum model robust`.
 
-use super::existing::ExistingArgs;
-use super::output::{print_table, stage};
+use super::super::existing::ExistingArgs;
+use super::super::output::{print_table, stage};
+use super::super::units;
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
@@ -53,11 +54,10 @@ pub fn run(args: Args) -> Result<()> {
     if !(1..=100_000).contains(&args.draws) {
         bail!("--draws {} is outside 1 ..= 100000", args.draws);
     }
-    for (name, value, most) in [("--omega", args.omega, 100.0), ("--seconds", args.seconds, 3_600.0)] {
-        if !(value > 0.0 && value <= most) {
-            bail!("{name} {value} is outside 0 ..= {most}");
-        }
+    if !(args.seconds > 0.0 && args.seconds <= 3_600.0) {
+        bail!("--seconds {} is not above 0 and at most 3600", args.seconds);
     }
+    units::sine(args.amplitude, args.omega).context("--amplitude or --omega")?;
     let motor = Motor::load(&args.motor)?;
     let candidates = args.control.iter().map(|name| candidate(name, args.pwm_hz)).collect::<Result<Vec<_>>>()?;
     if let Some(path) = &args.csv {

@@ -1,0 +1,257 @@
+//! The residuals' derivatives: by parameters, by what belongs to single runs, over functions without physics.
+
+use super::observe::{Observed, Window};
+use super::problem::{Model, Problem, RPM, RunResidual};
+use super::rotor::{P, Parameters};
+use rayon::prelude::*;
+
+/// A change of the delay over time that is small against the windows (s), and the unit of its column (s).
+const LATER_S: [f64; 2] = [5e-4, 1e-2];
+
+/// A direction in parameter space along which residuals are differentiated.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Column {
+    /// A common parameter; other parameters are first set as listed (shape of the effect).
+    Scalar {
+        /// What is varied.
+        parameter: P,
+        /// Size of one unit of the column.
+        scale: f64,
+        /// Finite step, in units of the parameter.
+        step: f64,
+        /// Shape parameters set before.
+        shape: Vec<(P, f64)>,
+    },
+    /// The delay of the record behind the drive, by a hundredth of a second, in hat `k` of `n` over time.
+    Lag(usize, usize),
+    /// A coefficient of [`RunTerms::runout`].
+    Runout(usize),
+    /// A coefficient of [`RunTerms::eccentricity`].
+    Eccentricity(usize),
+    /// A coefficient of [`RunTerms::gravity`].
+    Gravity(usize),
+    /// A phased coefficient with parameters first set as listed (shape of the effect).
+    Shaped(Box<Column>, Vec<(P, f64)>),
+    /// Relative speed error times a basis function of the window, for terms that stand for no physics.
+    Flexible(Basis),
+}
+
+/// Basis functions of the flexible terms.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Basis {
+    /// Hat `k` of `n` over the time since the start of the drive (0 to the longest run).
+    Time(usize, usize),
+    /// Hat `k` of `n` over the phase in the PWM period (cyclic).
+    Phase(usize, usize),
+    /// 1 in a PWM period, −1 in the next, averaged over the window.
+    EveryOtherPeriod,
+    /// The sign of the slot a window begins with, where it ends with one of the other kind.
+    Slot,
+    /// `cos` (even) or `sin` (odd) of harmonic `k/2 + 1` of the measured angle.
+    Angle(usize),
+    /// The free speed, in millisecond `k` after each rise of the drive or (`false`) each fall: what the rotor equation leaves out of
+    /// the wave's coming and going.
+    AfterSwitching(bool, usize),
+}
+
+/// Weighted residuals and derivatives of one run.
+#[derive(Debug, Clone)]
+pub struct RunDesign {
+    /// Number of columns.
+    pub columns: usize,
+    /// Row-major windows × columns, in rpm·√s.
+    pub x: Vec<f64>,
+    /// Residual (measured − predicted) in rpm·√s.
+    pub y: Vec<f64>,
+    /// Square root of each window's duration in √s.
+    pub weight: Vec<f64>,
+    /// Time compared in s; the mean squared residual is `Σy²/seconds`.
+    pub seconds: f64,
+}
+
+impl Problem {
+    /// Weighted residuals of every run and their derivatives by each column: rows are windows.
+    pub fn design(&self, model: &Model, columns: &[Column]) -> Vec<RunDesign> {
+        let around = Linearised::new(self, model, columns);
+        (0..self.runs.len()).into_par_iter().map(|run| around.design(run)).collect()
+    }
+}
+
+/// A model and what its derivatives are taken with.
+struct Linearised<'a> {
+    problem: &'a Problem,
+    model: &'a Model,
+    columns: &'a [Column],
+    warmth: Vec<f64>,
+    /// The parameters that each scalar column moves.
+    moved: Vec<Option<Moved>>,
+    /// The longest drive (s).
+    longest_s: f64,
+}
+
+/// A parameter moved by a step, with the warmth that the runs then start with.
+struct Moved {
+    /// What it is moved from, where that is not the model itself.
+    from: Option<(Parameters, Vec<f64>)>,
+    to: (Parameters, Vec<f64>),
+    per_step: f64,
+}
+
+impl<'a> Linearised<'a> {
+    fn new(problem: &'a Problem, model: &'a Model, columns: &'a [Column]) -> Self {
+        let with_warmth = |p: Parameters| {
+            let warmth = problem.warmth(&p);
+            (p, warmth)
+        };
+        let moved = |column: &Column| match column {
+            Column::Scalar { parameter, scale, step, shape } => {
+                let from = shape.iter().fold(model.parameters.clone(), |p, (which, value)| p.with(*which, *value));
+                let to = from.with(*parameter, from.get(*parameter) + step);
+                let is_model = shape.is_empty() || from.get(*parameter) == 0.0;
+                Some(Moved {
+                    from: (!is_model).then(|| with_warmth(from)),
+                    to: with_warmth(to),
+                    per_step: scale / step,
+                })
+            }
+            _ => None,
+        };
+        Self {
+            problem,
+            model,
+            columns,
+            warmth: problem.warmth(&model.parameters),
+            moved: columns.iter().map(moved).collect(),
+            longest_s: problem.runs.iter().map(|r| r.drive_end).fold(0.0, f64::max).max(1e-6),
+        }
+    }
+
+    fn design(&self, i: usize) -> RunDesign {
+        let run = &self.problem.runs[i];
+        let now = self.residual(i, &self.model.parameters, self.warmth[i]);
+        let weight: Vec<f64> = run.windows.iter().map(|w| run.duration(w).max(0.0).sqrt()).collect();
+        let width = self.columns.len();
+        let mut x = vec![0.0; weight.len() * width];
+        for c in 0..width {
+            for (k, value) in self.column(i, c, &now).into_iter().enumerate() {
+                x[k * width + c] = weight[k] * value;
+            }
+        }
+        let y = now.rpm.iter().zip(&weight).map(|(r, w)| r * w).collect();
+        RunDesign { columns: width, x, y, weight, seconds: run.compared_s() }
+    }
+
+    fn residual(&self, i: usize, p: &Parameters, warmth: f64) -> RunResidual {
+        self.problem.run_residual(i, p, &self.model.terms[i], warmth)
+    }
+
+    /// What a unit of column `c` adds to the predicted speed of each window of run `i`, rpm.
+    fn column(&self, i: usize, c: usize, now: &RunResidual) -> Vec<f64> {
+        let run = &self.problem.runs[i];
+        let p = &self.model.parameters;
+        let change = |from: &RunResidual, to: &RunResidual, per: f64| -> Vec<f64> {
+            from.rpm.iter().zip(&to.rpm).map(|(a, b)| (a - b) * per).collect()
+        };
+        match &self.columns[c] {
+            Column::Scalar { .. } => {
+                let Moved { from, to, per_step } = self.moved[c].as_ref().expect("every scalar column is moved");
+                let to = self.residual(i, &to.0, to.1[i]);
+                match from {
+                    None => change(now, &to, *per_step),
+                    Some(from) => change(&self.residual(i, &from.0, from.1[i]), &to, *per_step),
+                }
+            }
+            Column::Lag(j, n) => {
+                let [step_s, unit_s] = LATER_S;
+                let later = self.residual(i, &p.with(P::Latency, p.get(P::Latency) + step_s), self.warmth[i]);
+                let at = run.windows.iter().map(|w| hat(*j, *n, middle(&run.times, w) / self.longest_s));
+                change(now, &later, unit_s / step_s).into_iter().zip(at).map(|(change, at)| change * at).collect()
+            }
+            Column::Runout(_) | Column::Eccentricity(_) | Column::Gravity(_) => {
+                let (moved, step) = self.phased_step(i, &self.columns[c], p);
+                change(now, &moved, 1.0 / step)
+            }
+            Column::Shaped(phased, shape) => {
+                let shaped = shape.iter().fold(p.clone(), |q, (which, value)| q.with(*which, *value));
+                let (moved, step) = self.phased_step(i, phased, &shaped);
+                change(now, &moved, 1.0 / step)
+            }
+            Column::Flexible(basis) => {
+                let of = |(w, predicted): (&Window, &f64)| self.flexible(run, *basis, w, *predicted);
+                run.windows.iter().zip(&now.predicted).map(of).collect()
+            }
+        }
+    }
+
+    /// Residuals of a run with one phased coefficient larger by a step, and the step.
+    fn phased_step(&self, i: usize, column: &Column, p: &Parameters) -> (RunResidual, f64) {
+        let mut terms = self.model.terms[i];
+        let step = match column {
+            Column::Runout(h) => {
+                terms.runout[*h] += 0.01;
+                0.01
+            }
+            Column::Eccentricity(h) => {
+                terms.eccentricity[*h] += 1e-3;
+                1e-3
+            }
+            Column::Gravity(h) => {
+                terms.gravity[*h] += 0.01;
+                0.01
+            }
+            _ => 1.0,
+        };
+        (self.problem.run_residual(i, p, &terms, self.warmth[i]), step)
+    }
+
+    /// What a function without physics adds to a window whose predicted speed is `predicted` (rpm).
+    fn flexible(&self, run: &Observed, basis: Basis, w: &Window, predicted: f64) -> f64 {
+        let time_s = middle(&run.times, w);
+        let period_s = 1.0 / run.pwm_hz;
+        let between = [run.times[w.from], run.times[w.to]];
+        let duration_s = run.duration(w).max(1e-6);
+        predicted
+            * match basis {
+                Basis::Time(j, n) => hat(j, n, time_s / self.longest_s),
+                Basis::Phase(j, n) => cyclic_hat(j, n, time_s / period_s),
+                Basis::EveryOtherPeriod => {
+                    period_s * (parity(between[1] / period_s) - parity(between[0] / period_s)) / duration_s
+                }
+                Basis::Slot => {
+                    let slots = f64::from(run.level[w.from] - run.level[w.to]);
+                    return run.direction * 0.5 * slots * run.pitch / duration_s * RPM;
+                }
+                Basis::Angle(j) => {
+                    let h = (j / 2 + 1) as f64 * middle(&run.angles, w);
+                    if j % 2 == 0 { h.cos() } else { h.sin() }
+                }
+                Basis::AfterSwitching(rise, j) => {
+                    let p = &self.model.parameters;
+                    let share = run.schedule.share_after_switching(between, rise, 1e-3 * j as f64, p);
+                    return run.direction * share * p.get(P::FreeSpeed) * RPM;
+                }
+            }
+    }
+}
+
+/// Half way from a window's beginning to its end.
+fn middle(of: &[f64], w: &Window) -> f64 {
+    0.5 * (of[w.from] + of[w.to])
+}
+
+/// Piecewise linear basis function `j` of `n` over 0..1.
+fn hat(j: usize, n: usize, x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0) * (n - 1) as f64;
+    (1.0 - (x - j as f64).abs()).max(0.0)
+}
+
+/// The integral over `periods` of what is 1 in a period and −1 in the next.
+fn parity(periods: f64) -> f64 {
+    1.0 - (periods.rem_euclid(2.0) - 1.0).abs()
+}
+
+/// Piecewise linear basis function `j` of `n` over the fraction of a period.
+fn cyclic_hat(j: usize, n: usize, periods: f64) -> f64 {
+    let d = (periods.rem_euclid(1.0) * n as f64 - j as f64).rem_euclid(n as f64);
+    (1.0 - d.min(n as f64 - d)).max(0.0)
+}

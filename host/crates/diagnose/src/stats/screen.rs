@@ -1,0 +1,276 @@
+//! What a group of columns improves on runs that were not fitted, and what chance would improve.
+
+use super::grams::{Grams, Group};
+use super::{Fold, HeldOut};
+use nalgebra::{DMatrix, DVector};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+impl Grams {
+    fn plan(&self, base: &[usize], group: &Group) -> Plan {
+        let set = match group {
+            Group::Linear(extra) => [base, extra].concat(),
+            Group::Phased(_) => base.to_vec(),
+        };
+        let folds = self
+            .folds
+            .iter()
+            .map(|fold| FoldPlan {
+                inverse: self.inverse(&fold.train, &set),
+                test_g: self.matrix(&fold.test, &set),
+                fold: fold.clone(),
+            })
+            .collect();
+        let pairs = match group {
+            Group::Linear(_) => Vec::new(),
+            Group::Phased(pairs) => pairs
+                .iter()
+                .map(|pair| (0..self.runs.len()).map(|r| self.pair_plan(r, base, *pair)).collect())
+                .collect(),
+        };
+        Plan { set, folds, pairs }
+    }
+
+    fn pair_plan(&self, r: usize, base: &[usize], [i, j]: [usize; 2]) -> PairPlan {
+        let g = [self.g(r, i, i), self.g(r, i, j), self.g(r, j, j)];
+        let link = base.iter().map(|c| [self.g(r, i, *c), self.g(r, j, *c)]).collect();
+        let tiny = 1e-9 * (g[0] + g[2]) + 1e-300;
+        let (a, d) = (g[0] + tiny, g[2] + tiny);
+        let det = a * d - g[1] * g[1];
+        let inverse = [d / det, -g[1] / det, a / det];
+        PairPlan { columns: [i, j], g, link, inverse }
+    }
+
+    /// Improvement on held-out runs with right-hand sides `b` (one a run).
+    fn improvement(&self, plan: &Plan, base: &Plan, b: &[Vec<f64>], pulled: bool) -> f64 {
+        let mut total = 0.0;
+        for (fold, base_fold) in plan.folds.iter().zip(&base.folds) {
+            let rhs = |runs: &[usize], set: &[usize]| {
+                DVector::from_fn(set.len(), |i, _| runs.iter().map(|r| b[*r][set[i]]).sum())
+            };
+            let pull =
+                |set: &[usize]| DVector::from_fn(set.len(), |i, _| if pulled { self.known(set[i]).pull } else { 0.0 });
+            let beta_base = &base_fold.inverse * (rhs(&base_fold.fold.train, &base.set) + pull(&base.set));
+            if plan.pairs.is_empty() {
+                let loss = |beta: &DVector<f64>, f: &FoldPlan, set: &[usize]| {
+                    -2.0 * beta.dot(&rhs(&f.fold.test, set)) + (&f.test_g * beta).dot(beta)
+                };
+                let beta = &fold.inverse * (rhs(&fold.fold.train, &plan.set) + pull(&plan.set));
+                total += loss(&beta_base, base_fold, &base.set) - loss(&beta, fold, &plan.set);
+            } else {
+                for pair in &plan.pairs {
+                    let power = self.pair_power(pair, &beta_base, &fold.fold.train, b);
+                    if power > 0.0 {
+                        total += fold
+                            .fold
+                            .test
+                            .iter()
+                            .map(|r| self.pair_gain(&pair[*r], &beta_base, power, &b[*r]).0)
+                            .sum::<f64>();
+                    }
+                }
+            }
+        }
+        total
+    }
+
+    /// Mean square of a phased coefficient over runs, noise taken off.
+    fn pair_power(&self, pair: &[PairPlan], beta: &DVector<f64>, runs: &[usize], b: &[Vec<f64>]) -> f64 {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for r in runs {
+            let p = &pair[*r];
+            let noise = self.variance * (p.inverse[0] + p.inverse[2]);
+            if !(noise.is_finite() && noise > 0.0) {
+                continue;
+            }
+            let c = p.solve(p.rest(beta, &b[*r]), 0.0);
+            let w = 1.0 / (noise * noise);
+            sum += w * (c[0] * c[0] + c[1] * c[1] - noise);
+            weight += w;
+        }
+        if weight > 0.0 { sum / weight } else { 0.0 }
+    }
+
+    /// Expected improvement of one run when its phase is fitted with the amplitude known, and the coefficients.
+    fn pair_gain(&self, p: &PairPlan, beta: &DVector<f64>, power: f64, b: &[f64]) -> (f64, [f64; 2]) {
+        let rest = p.rest(beta, b);
+        let prior = 2.0 * self.variance / power;
+        let c = p.solve(rest, prior);
+        let fit = 2.0 * (c[0] * rest[0] + c[1] * rest[1])
+            - (p.g[0] * c[0] * c[0] + 2.0 * p.g[1] * c[0] * c[1] + p.g[2] * c[1] * c[1]);
+        let det = (p.g[0] + prior) * (p.g[2] + prior) - p.g[1] * p.g[1];
+        let freedom = ((p.g[2] + prior) * p.g[0] - 2.0 * p.g[1] * p.g[1] + (p.g[0] + prior) * p.g[2]) / det;
+        (fit - 2.0 * self.variance * freedom, c)
+    }
+
+    fn observed_b(&self) -> Vec<Vec<f64>> {
+        (0..self.runs.len()).map(|r| (0..self.columns).map(|i| self.b(r, &self.runs[r].b, i)).collect()).collect()
+    }
+
+    /// Improvements of all groups on the measured data, and the null's largest improvement in each repetition.
+    ///
+    /// A null data set keeps every residual but turns its sign: the gain of a run (one of `gains`, or its own where there are none) by
+    /// one coin, what is left by a coin a block. What repeats from run to run or lasts longer than a block is lost, the noise
+    /// stays as it is.
+    pub fn screen(
+        &self,
+        base: &[usize],
+        groups: &[Group],
+        gains: &[f64],
+        repetitions: usize,
+        seed: u64,
+    ) -> (Vec<f64>, Vec<f64>) {
+        let base_plan = self.plan(base, &Group::Linear(Vec::new()));
+        let plans: Vec<Plan> = groups.par_iter().map(|g| self.plan(base, g)).collect();
+        let observed = self.observed_b();
+        let improvements: Vec<f64> =
+            plans.par_iter().map(|p| self.improvement(p, &base_plan, &observed, true)).collect();
+        let null: Vec<f64> = (0..repetitions)
+            .into_par_iter()
+            .map(|k| {
+                let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_add(1 + k as u64));
+                let b = self.null_b(gains, &mut rng);
+                plans.iter().map(|p| self.improvement(p, &base_plan, &b, false)).fold(0.0, f64::max)
+            })
+            .collect();
+        (improvements, null)
+    }
+
+    fn null_b(&self, gains: &[f64], rng: &mut impl Rng) -> Vec<Vec<f64>> {
+        let mut coin = || if rng.random::<bool>() { 1.0 } else { -1.0 };
+        self.runs
+            .iter()
+            .enumerate()
+            .map(|(r, run)| {
+                let s = coin() * gains.get(r).copied().unwrap_or(run.gain);
+                let mut b: Vec<f64> =
+                    (0..self.columns).map(|i| s * run.g[i * self.columns + self.gain_column]).collect();
+                for block in &run.blocks {
+                    let s = coin();
+                    for (target, v) in b.iter_mut().zip(block) {
+                        *target += s * v;
+                    }
+                }
+                (0..self.columns).map(|i| self.b(r, &b, i)).collect()
+            })
+            .collect()
+    }
+
+    /// Held-out errors of every run without (`base`) and with the group.
+    pub fn hold_out(&self, base: &[usize], group: &Group) -> HeldOut {
+        let base_plan = self.plan(base, &Group::Linear(Vec::new()));
+        let plan = self.plan(base, group);
+        let b = self.observed_b();
+        let n = self.runs.len();
+        let mut out = HeldOut { loss: vec![[0.0; 2]; n], plain: vec![[0.0; 2]; n], seconds: vec![0.0; n] };
+        for (fold, base_fold) in plan.folds.iter().zip(&base_plan.folds) {
+            let rhs = |runs: &[usize], set: &[usize]| {
+                DVector::from_fn(set.len(), |i, _| runs.iter().map(|r| b[*r][set[i]]).sum())
+            };
+            let pull = |set: &[usize]| DVector::from_fn(set.len(), |i, _| self.known(set[i]).pull);
+            let beta_base = &base_fold.inverse * (rhs(&base_fold.fold.train, &base_plan.set) + pull(&base_plan.set));
+            let beta = &fold.inverse * (rhs(&fold.fold.train, &plan.set) + pull(&plan.set));
+            let powers: Vec<f64> =
+                plan.pairs.iter().map(|pair| self.pair_power(pair, &beta_base, &fold.fold.train, &b)).collect();
+            for &r in &fold.fold.test {
+                let run = &self.runs[r];
+                out.seconds[r] = run.seconds;
+                let k = self.gain_column;
+                let yy = run.yy - run.gamma * run.b[k] * run.b[k];
+                let quadratic = |beta: &[f64], set: &[usize], plain: bool| {
+                    let mut v = if plain { run.yy } else { yy };
+                    for (i, ci) in set.iter().enumerate() {
+                        v -= 2.0 * beta[i] * if plain { run.b[*ci] } else { b[r][*ci] };
+                        for (j, cj) in set.iter().enumerate() {
+                            v +=
+                                beta[i] * beta[j] * if plain { self.plain_g(r, *ci, *cj) } else { self.g(r, *ci, *cj) };
+                        }
+                    }
+                    v
+                };
+                out.loss[r][0] = quadratic(beta_base.as_slice(), &base_plan.set, false);
+                out.plain[r][0] = quadratic(beta_base.as_slice(), &base_plan.set, true);
+                if plan.pairs.is_empty() {
+                    out.loss[r][1] = quadratic(beta.as_slice(), &plan.set, false);
+                    out.plain[r][1] = quadratic(beta.as_slice(), &plan.set, true);
+                } else {
+                    let mut set = base_plan.set.clone();
+                    let mut coefficients = beta_base.as_slice().to_vec();
+                    let mut optimism = 0.0;
+                    for (pair, power) in plan.pairs.iter().zip(&powers) {
+                        if *power > 0.0 {
+                            let p = &pair[r];
+                            let (gain, c) = self.pair_gain(p, &beta_base, *power, &b[r]);
+                            let rest = p.rest(&beta_base, &b[r]);
+                            let fit = 2.0 * (c[0] * rest[0] + c[1] * rest[1])
+                                - (p.g[0] * c[0] * c[0] + 2.0 * p.g[1] * c[0] * c[1] + p.g[2] * c[1] * c[1]);
+                            optimism += fit - gain;
+                            set.extend(p.columns);
+                            coefficients.extend(c);
+                        }
+                    }
+                    out.loss[r][1] = quadratic(&coefficients, &set, false) + optimism;
+                    out.plain[r][1] = quadratic(&coefficients, &set, true) + optimism;
+                }
+            }
+        }
+        out
+    }
+
+    /// Degrees of freedom each run spends on its phases when the amplitudes are known.
+    pub fn phased_freedom(&self, pairs: &[[usize; 2]], amplitudes: &[f64]) -> Vec<f64> {
+        (0..self.runs.len())
+            .map(|r| {
+                pairs
+                    .iter()
+                    .zip(amplitudes)
+                    .filter(|(_, a)| **a > 0.0)
+                    .map(|([i, j], a)| {
+                        let (g0, g1, g2) = (self.g(r, *i, *i), self.g(r, *i, *j), self.g(r, *j, *j));
+                        let prior = 2.0 * self.variance / (a * a);
+                        let det = (g0 + prior) * (g2 + prior) - g1 * g1;
+                        ((g2 + prior) * g0 - 2.0 * g1 * g1 + (g0 + prior) * g2) / det
+                    })
+                    .sum()
+            })
+            .collect()
+    }
+}
+
+struct FoldPlan {
+    fold: Fold,
+    inverse: DMatrix<f64>,
+    test_g: DMatrix<f64>,
+}
+
+struct Plan {
+    set: Vec<usize>,
+    folds: Vec<FoldPlan>,
+    pairs: Vec<Vec<PairPlan>>,
+}
+
+struct PairPlan {
+    columns: [usize; 2],
+    g: [f64; 3],
+    link: Vec<[f64; 2]>,
+    inverse: [f64; 3],
+}
+
+impl PairPlan {
+    fn rest(&self, beta: &DVector<f64>, b: &[f64]) -> [f64; 2] {
+        let mut rest = [b[self.columns[0]], b[self.columns[1]]];
+        for (l, v) in self.link.iter().zip(beta.iter()) {
+            rest[0] -= l[0] * v;
+            rest[1] -= l[1] * v;
+        }
+        rest
+    }
+
+    fn solve(&self, rest: [f64; 2], prior: f64) -> [f64; 2] {
+        let tiny = 1e-9 * (self.g[0] + self.g[2]) + 1e-300;
+        let (a, d) = (self.g[0] + prior + tiny, self.g[2] + prior + tiny);
+        let det = a * d - self.g[1] * self.g[1];
+        [(d * rest[0] - self.g[1] * rest[1]) / det, (a * rest[1] - self.g[1] * rest[0]) / det]
+    }
+}

@@ -1,0 +1,124 @@
+//! `twum model loop`.
+
+use super::super::existing::ExistingArgs;
+use super::super::output::stage;
+use super::super::units;
+use super::{Common, print_json};
+use anyhow::{Context, Result};
+use serde::Serialize;
+use std::path::PathBuf;
+use twum_host::configuration::controller;
+use twum_host::model::closed_loop::{Following, LoopProgram, Tick, following, run as run_loop};
+use twum_host::model::motor::Motor;
+use twum_host::model::motor_plant::{History, MotorPlant};
+use twum_host::model::study::Setup;
+use twum_host::output::{self, Output};
+use twum_host::report::figure::{Figure, Panel};
+use twum_shared::step::Config;
+
+/// Arguments of `twum model loop`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    common: Common,
+    /// Controller: `thesis`, `default`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains
+    #[arg(long, default_value = "thesis")]
+    control: String,
+    /// Amplitude of the sine (counts)
+    #[arg(long, default_value_t = 89)]
+    amplitude: i32,
+    /// Angular frequency of the sine (rad/s)
+    #[arg(long, default_value_t = 1.257)]
+    omega: f64,
+    /// Count edges in the rotor's true sense, not the direction pin's: what no one-line encoder can do
+    #[arg(long)]
+    true_sense: bool,
+    /// Write every control tick to this file
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    #[command(flatten)]
+    existing: ExistingArgs,
+}
+
+#[derive(Serialize)]
+struct LoopAnswer {
+    #[serde(flatten)]
+    following: Following,
+    ticks: usize,
+    wall_s: f64,
+}
+
+pub fn run(args: Args) -> Result<()> {
+    let Args { common, control, amplitude, omega, true_sense, csv, existing } = args;
+    let setup = common.setup(1.0, 10.0)?;
+    if let Some(path) = &csv {
+        output::may_write(path, existing.into())?;
+    }
+    let spec = controller(&control).context("--control")?;
+    let reference = units::sine(amplitude, omega).context("--amplitude or --omega")?;
+    let program = LoopProgram {
+        config: Config::try_from(spec)?,
+        reference,
+        pwm_hz: setup.pwm_hz,
+        edges_per_rev: Motor::load(&common.motor)?.edges_per_rev,
+        encoder_phase_rad: 0.0,
+        end_s: setup.seconds,
+        true_sense,
+    };
+    let effects = setup.effects;
+    let mut plant = MotorPlant::new(setup.parameters, setup.flavour, setup.solver, &effects, History::default());
+    let began = std::time::Instant::now();
+    let waiting = stage("simulating the closed loop");
+    let trace = run_loop(&program, &mut plant, &effects)?;
+    waiting.finish_and_clear();
+    let following = following(&program, &trace);
+    if common.json {
+        print_json(&LoopAnswer { following, ticks: trace.len(), wall_s: began.elapsed().as_secs_f64() })?;
+    } else {
+        println!("counted  {:.3} deg2 MSE, {:.3} deg mean |error|", following.mse_deg2, following.mean_abs_deg);
+        println!(
+            "true     {:.3} deg2 MSE, {:.3} deg mean |error|",
+            following.true_mse_deg2, following.true_mean_abs_deg
+        );
+        println!("the count ended {} counts off the true position", following.miscount);
+    }
+    if let Some(path) = csv {
+        let mut out = Output::begin(&path, existing.into())?;
+        write_csv(&mut out, &trace).with_context(|| format!("cannot write {}", path.display()))?;
+        out.finish()?;
+    }
+    common.draw(|| Ok(loop_figure(&program, &trace, &setup)))
+}
+
+/// The `control` format of a measurement folder.
+fn write_csv(out: &mut Output, trace: &[Tick]) -> Result<()> {
+    let mut writer = csv::Writer::from_writer(out);
+    writer.write_record(["time_us", "target", "position", "u", "duty", "direction"])?;
+    for tick in trace {
+        writer.write_record([
+            format!("{:.0}", tick.time_s * 1e6),
+            tick.target.to_string(),
+            tick.position.to_string(),
+            format!("{:.5}", f64::from(tick.u) / 65536.0),
+            format!("{:.6}", tick.duty),
+            tick.direction.sign().to_string(),
+        ])?;
+    }
+    writer.flush()?;
+    Ok(())
+}
+
+fn loop_figure(program: &LoopProgram, trace: &[Tick], setup: &Setup) -> Figure {
+    let count_deg = 360.0 / f64::from(program.edges_per_rev);
+    let thin: Vec<&Tick> = trace.iter().step_by((trace.len() / 4000).max(1)).collect();
+    let of = |f: &dyn Fn(&Tick) -> f64| thin.iter().map(|tick| (tick.time_s, f(tick))).collect::<Vec<_>>();
+    let target = of(&|t| f64::from(t.target) * count_deg);
+    let truth = of(&|t| t.angle_rad.to_degrees());
+    let error = of(&|t| f64::from(t.target) * count_deg - t.angle_rad.to_degrees());
+    let duty = of(&|t| t.duty * f64::from(t.direction.sign()));
+    Figure::new(format!("Position control of the {} motor model", setup.flavour))
+        .size(1000, 1000)
+        .panel(Panel::new("time (s)", "angle (deg)").line("target", &target).line("rotor", &truth))
+        .panel(Panel::new("time (s)", "error (deg)").line("target - rotor", &error))
+        .panel(Panel::new("time (s)", "signed duty").line("duty", &duty))
+}
