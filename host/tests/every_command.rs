@@ -100,7 +100,7 @@ use Says::{Json, Refused, Serves, Slow, Text};
 
 /// A line of every command. `PORT` is a configured board on a pseudo-terminal, `NEW` a name that is not taken, `EXAMPLES` the folder of
 /// examples.
-const LINES: [(Says, &str); 48] = [
+const LINES: [(Says, &str); 49] = [
     (Json, "align --port sim"),
     (Json, "capture --port sim --seconds 0.2 --out NEW.mcap"),
     (Json, "compare run.mcap --flavour physical"),
@@ -120,6 +120,7 @@ const LINES: [(Says, &str); 48] = [
     (Refused, "flash --port sim"),
     (Json, "identify force-factor EXAMPLES/first"),
     (Json, "identify friction EXAMPLES/friction"),
+    (Json, "identify motor EXAMPLES/gear-motor"),
     (Json, "identify stator EXAMPLES/stator.csv --shunt 2000"),
     (Json, "import EXAMPLES/first"),
     (Json, "info --port sim"),

@@ -15,6 +15,7 @@
 pub mod carrier;
 pub mod contact;
 pub mod drive;
+pub mod drives;
 pub mod experiment;
 pub mod first;
 pub mod folder;

@@ -5,13 +5,14 @@ use super::connect::{ALL_STREAMS, ConnectArgs, duration_ms, own_configuration, r
 use super::diagnose::{motor_of, runs_of};
 use super::output::{answer, stage};
 use super::{exit, units};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
+use twum_host::diagnose::inertial::{InputRun, next_inputs};
 use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
-use twum_host::diagnose::{Options, diagnose};
+use twum_host::diagnose::{Details, Options, diagnose};
 use twum_host::link::LinkError;
 use twum_host::link::bench::{Action, Experiment, perform};
 use twum_host::link::{Port, Session};
@@ -100,11 +101,17 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
 }
 
-fn planned(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
+/// What to do next: runs of the board, or inputs of a motor that another drive moves.
+enum Plan {
+    Board(Vec<PlannedRun>),
+    Inputs(Vec<InputRun>),
+}
+
+fn planned(wanted: &Wanted) -> Result<Plan> {
     duration_ms(wanted.seconds).context("--seconds")?;
     let duties = wanted.duties.iter().map(|d| units::duty(d)).collect::<Result<Vec<_>>>().context("--duties")?;
     if wanted.folders.is_empty() {
-        return Ok(first_experiment(&duties, wanted.trials, wanted.seconds, 50.0));
+        return Ok(Plan::Board(first_experiment(&duties, wanted.trials, wanted.seconds, 50.0)));
     }
     let mut measurements = Vec::new();
     for folder in &wanted.folders {
@@ -113,15 +120,47 @@ fn planned(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
     let motor = motor_of(&measurements[0], None)?.map(|m| m.parameters(Flavour::Physical));
     let options = Options { quick: true, motor, ..Options::default() };
     let waiting = stage("what is open");
-    let (diagnosis, _) = diagnose(&measurements, &options, &|what, share| {
+    let (diagnosis, details) = diagnose(&measurements, &options, &|what, share| {
         waiting.set_message(format!("what is open: {what}, {:.0} %", 100.0 * share));
     })?;
     waiting.finish_and_clear();
-    Ok(next_runs(&measurements, &diagnosis))
+    Ok(match details {
+        Some(Details::Inertial(outcome)) => Plan::Inputs(next_inputs(&outcome, diagnosis.replicated)),
+        _ if measurements.iter().any(|m| m.motor == "inertial") => {
+            bail!("nothing can be planned for these runs: {}", diagnosis.notes.join("; "))
+        }
+        _ => Plan::Board(next_runs(&measurements, &diagnosis)),
+    })
+}
+
+/// The runs of the board: another drive has to be given its inputs by who owns it.
+fn board_runs(wanted: &Wanted) -> Result<Vec<PlannedRun>> {
+    match planned(wanted)? {
+        Plan::Board(runs) => Ok(runs),
+        Plan::Inputs(_) => {
+            bail!("an ordinary motor is not driven by the board: `twum experiment plan` says which inputs to give it")
+        }
+    }
+}
+
+/// Says which inputs to give to a motor that another drive moves.
+fn plan_inputs(runs: &[InputRun], json: bool) -> Result<ExitCode> {
+    if json {
+        println!("{}", serde_json::to_string_pretty(runs)?);
+    } else if runs.is_empty() {
+        eprintln!("nothing is open that another run would decide");
+    } else {
+        eprintln!("{} inputs to give to the motor's own drive:", runs.len());
+        runs.iter().for_each(|run| println!("{}", run.text()));
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn plan(args: &PlanArgs) -> Result<ExitCode> {
-    let runs = planned(&args.wanted)?;
+    let runs = match planned(&args.wanted)? {
+        Plan::Board(runs) => runs,
+        Plan::Inputs(runs) => return plan_inputs(&runs, args.json),
+    };
     if args.json {
         println!("{}", serde_json::to_string_pretty(&runs)?);
         return Ok(ExitCode::SUCCESS);
@@ -168,13 +207,13 @@ enum Task {
 
 fn task(args: &RunArgs) -> Result<Option<Task>> {
     if args.resume {
-        let asked = if args.wanted.is_default() { None } else { Some(series_of(&planned(&args.wanted)?)) };
+        let asked = if args.wanted.is_default() { None } else { Some(series_of(&board_runs(&args.wanted)?)) };
         return Ok(Some(Task::Resume(Series::resume(&args.out, asked.as_deref())?)));
     }
     if args.out.exists() {
         return Err(SeriesError::Exists(args.out.clone()).into());
     }
-    let runs = series_of(&planned(&args.wanted)?);
+    let runs = series_of(&board_runs(&args.wanted)?);
     Ok((!runs.is_empty()).then_some(Task::Begin(runs)))
 }
 

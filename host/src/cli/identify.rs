@@ -1,12 +1,17 @@
 //! `twum identify`.
 
+use super::diagnose::runs_of;
+use super::existing::ExistingArgs;
 use super::flavour::FlavourArgs;
 use super::output::stage;
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::diagnose::Options;
+use twum_host::diagnose::inertial::{MotorReport, diagnose_drives};
 use twum_host::identify::{force_factor, friction, read, save, stator};
 use twum_host::model::motor::Motor;
+use twum_host::output;
 use twum_host::record::load::load_runs;
 use twum_host::report::identified::{figures, text};
 
@@ -25,6 +30,32 @@ enum What {
     Friction(Friction),
     /// The electromechanical force factor, from speeds by the averaged model, and what it trades off against
     ForceFactor(ForceFactor),
+    /// An ordinary motor: gain, lag, friction and what else is found, with intervals, and the feed-forward that cancels it
+    Motor(OrdinaryMotor),
+}
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  twum identify motor bench
+  twum identify motor bench --compensation feed-forward.csv
+
+The folder is a measurement folder with `motor = \"inertial\"` and runs of `format = \"drive\"` (docs/ordinary.md).
+Exit code: 0 the numbers are of one motor, 1 the runs are not, 2 bad input.")]
+struct OrdinaryMotor {
+    /// Measurement folders
+    #[arg(required = true)]
+    folders: Vec<PathBuf>,
+    /// Write the input of steady speeds here, as CSV (speed_rpm, input)
+    #[arg(long, value_name = "FILE")]
+    compensation: Option<PathBuf>,
+    #[command(flatten)]
+    existing: ExistingArgs,
+    /// Seed of every random choice
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
 }
 
 /// Where a result is written.
@@ -162,6 +193,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         What::Stator(args) => run_stator(args),
         What::Friction(args) => run_friction(args),
         What::ForceFactor(args) => run_force_factor(args),
+        What::Motor(args) => run_motor(&args),
     }
 }
 
@@ -242,5 +274,49 @@ fn run_force_factor(args: ForceFactor) -> Result<ExitCode> {
         print!("{}", text::force_factor(&report));
     }
     args.save.write(|_, _| Ok(save::force_factor(&report)))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_motor(args: &OrdinaryMotor) -> Result<ExitCode> {
+    if let Some(path) = &args.compensation {
+        output::may_write(path, args.existing.into())?;
+    }
+    let mut measurements = Vec::new();
+    for folder in &args.folders {
+        let (measurement, notes) = runs_of(folder)?;
+        notes.iter().for_each(|note| eprintln!("note: {note}"));
+        if measurement.motor != "inertial" {
+            bail!(
+                "{}: its motor is {}; `identify motor` is for `motor = \"inertial\"`",
+                folder.display(),
+                measurement.motor
+            );
+        }
+        measurements.push(measurement);
+    }
+    let runs: Vec<_> = measurements.iter().flat_map(|m| &m.runs).collect();
+    let waiting = stage("fitting the motor to every run");
+    let options = Options { seed: args.seed, ..Options::default() };
+    let (diagnosis, outcome) = diagnose_drives(&runs, &options, &|what, share| {
+        waiting.set_message(format!("{what}, {:.0} %", 100.0 * share));
+    });
+    waiting.finish_and_clear();
+    let Some(outcome) = outcome else { bail!("{}", diagnosis.notes.join("; ")) };
+    let Some(report) = MotorReport::of(&outcome, &diagnosis) else {
+        diagnosis.notes.iter().for_each(|note| eprintln!("note: {note}"));
+        return Ok(ExitCode::from(1));
+    };
+    if let Some(path) = &args.compensation {
+        let Some(compensation) = &report.compensation else {
+            bail!("--compensation: the motor reaches one direction only in these runs")
+        };
+        output::write(path, compensation.csv(), args.existing.into())?;
+        eprintln!("wrote {}", path.display());
+    }
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        print!("{}", text::motor(&report));
+    }
     Ok(ExitCode::SUCCESS)
 }

@@ -23,7 +23,7 @@ pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Page {
                 "Measured minus simulated speed, averaged in bins: the refitted simulation before, the extended model after. \
                  What is flat at zero is explained.",
             ),
-            Details::Inertial(o) => page.figure(inertial_figure(o), "Speed over input, and what the models miss."),
+            Details::Inertial(o) => page.figure(inertial_figure(o), "Speeds over time, and what the plants miss over time, input and speed."),
         };
     }
     page = page.heading("Evidence");
@@ -165,20 +165,40 @@ pub fn residual_figure(problem: &Problem, outcome: &Outcome) -> Figure {
         .panel(Panel::new("time in the run (s)", "residual (rpm)").points("before", &first).points("after", &last))
 }
 
-/// Speed over input of ordinary motors.
+/// Speeds of ordinary motors over time, and what the plants miss over time, input and speed.
 pub fn inertial_figure(o: &InertialOutcome) -> Figure {
-    let mut speed = Panel::new("input (largest = 1)", "speed (rpm)");
-    let mut rest = Panel::new("input (largest = 1)", "residual (rpm)");
-    for (run, predicted) in o.runs.iter().zip(&o.predicted) {
-        let at = |v: &[f64]| run.input.iter().copied().zip(v.iter().copied()).collect::<Vec<_>>();
-        speed = speed
-            .points(format!("{} measured", run.id), &at(&run.rpm))
-            .line(format!("{} extended", run.id), &at(predicted));
-        let before: Vec<f64> = run.rpm.iter().zip(&run.input).map(|(y, u)| y - u * o.gain_rpm).collect();
-        let after: Vec<f64> = run.rpm.iter().zip(predicted).map(|(y, p)| y - p).collect();
-        rest = rest.dashed(format!("{} before", run.id), &at(&before)).line(format!("{} after", run.id), &at(&after));
+    let mut panels = [
+        Panel::new("time (s)", "speed (rpm)"),
+        Panel::new("time (s)", "residual (rpm)"),
+        Panel::new("input (largest = 1)", "residual (rpm)"),
+        Panel::new("speed (rpm)", "residual (rpm)"),
+    ];
+    let (before, after) = (&o.before, &o.after);
+    for (i, run) in o.data.runs.iter().enumerate() {
+        let rows: Vec<usize> = (0..run.rpm.len()).step_by((run.rpm.len() / 1500).max(1)).collect();
+        let at = |x: &dyn Fn(usize) -> f64, y: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
+            rows.iter().map(|k| (x(*k), y(*k))).collect()
+        };
+        let time = |k: usize| run.time[run.sample(k)];
+        let (id, measured) = (&run.id, |k: usize| run.rpm[k]);
+        let (first, last) = (|k: usize| run.rpm[k] - before[i][k], |k: usize| run.rpm[k] - after[i][k]);
+        let [speed, over_time, over_input, over_speed] = panels;
+        panels = [
+            speed
+                .points(format!("{id} measured"), &at(&time, &measured))
+                .line(format!("{id} extended"), &at(&time, &|k| after[i][k])),
+            over_time
+                .points(format!("{id} before"), &at(&time, &first))
+                .points(format!("{id} after"), &at(&time, &last)),
+            over_input
+                .points(format!("{id} before"), &at(&|k| run.input[run.sample(k)], &first))
+                .points(format!("{id} after"), &at(&|k| run.input[run.sample(k)], &last)),
+            over_speed
+                .points(format!("{id} before"), &at(&measured, &first))
+                .points(format!("{id} after"), &at(&measured, &last)),
+        ];
     }
-    Figure::new("").size(1000, 800).panel(speed).panel(rest)
+    panels.into_iter().fold(Figure::new("").columns(2).size(1000, 900), Figure::panel)
 }
 
 #[cfg(test)]

@@ -205,52 +205,32 @@ impl Diagnosis {
         notes: Vec<String>,
         seed: u64,
     ) -> Self {
-        Self::of_parts(
-            &outcome.findings,
-            &outcome.unknown,
-            &outcome.held_out,
-            outcome.noise_floor,
-            replicated,
-            notes,
-            seed,
-        )
-    }
-
-    fn of_parts(
-        findings: &[Finding],
-        unknown: &[Unknown],
-        held_out: &super::stats::HeldOut,
-        floor: f64,
-        replicated: bool,
-        notes: Vec<String>,
-        seed: u64,
-    ) -> Self {
-        let any = |s: Status| findings.iter().any(|f| f.status == s);
-        let left = unknown.iter().map(|u| u.gain).fold(0.0, f64::max);
-        let verdict = if any(Status::Named) {
+        let any = |s: Status| outcome.findings.iter().any(|f| f.status == s);
+        let (base, extended, floor) = (outcome.held_out.rmse(0), outcome.held_out.rmse(1), outcome.noise_floor);
+        let mut d = Self::impossible(notes, seed);
+        d.verdict = if any(Status::Named) {
             Verdict::Named
         } else if any(Status::Ambiguous) {
             Verdict::Ambiguous
-        } else if left >= super::verdict::LEAST_GAIN {
+        } else if !outcome.unknown.is_empty() {
             Verdict::Unknown
         } else {
             Verdict::None
         };
-        let (base, extended) = (held_out.rmse(0), held_out.rmse(1));
-        let mut d = Self::impossible(notes, seed);
-        d.verdict = verdict;
         d.replicated = replicated;
         d.baseline = BaselineScores {
             scores: Scores { r2_speed: None, rmse_speed_rpm: Some(base), rmse_position_deg: None },
             noise_floor: floor,
         };
         d.extended.rmse_speed_rpm = Some(extended);
-        d.effects = findings.iter().map(effect_answer).collect();
+        d.effects = outcome.findings.iter().map(effect_answer).collect();
         d.unexplained_fraction = Some(((extended * extended - floor * floor) / (base * base)).clamp(0.0, 1.0));
-        d.unknown = unknown
+        d.unknown = outcome
+            .unknown
             .iter()
             .map(|u| UnknownAnswer { lives_in: u.lives_in.to_owned(), gain_heldout: u.gain, p_null: u.p_null })
             .collect();
+        d.not_judged = outcome.not_judged.iter().cloned().collect();
         d
     }
 

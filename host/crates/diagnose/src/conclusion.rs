@@ -10,7 +10,10 @@ use super::problem::{Model, Problem};
 use super::refit::{Noise, objective, refit};
 use super::set::{Part, Set, strip};
 use super::stats::{Group, HeldOut};
-use super::verdict::{Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, NAMED, TEMPERATURE, judge};
+use super::verdict::{
+    ALIKE, Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, MOST_OF_A_COURSE, NAMED, TEMPERATURE,
+    Visited, judge,
+};
 
 /// What the search is asked to do.
 #[derive(Debug, Clone)]
@@ -94,13 +97,16 @@ impl Standing {
         let background = Background {
             temperature: if ground.problem.closed() { CLOSED_TEMPERATURE } else { TEMPERATURE },
             alike: &alike,
+            clear_lead: ALIKE,
+            most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|e| matches!(ground.effects[e].coordinate, Coordinate::Start | Coordinate::Angle),
             log_prior_of_spread: &|k, tau| ground.level.log_prior_of(k, tau),
         };
         let mut sets = visited.to_vec();
         let mut struck: Vec<(usize, f64)> = Vec::new();
         let mut judged = loop {
-            let judged = judge(&sets, root, &background);
+            let views: Vec<Visited> = sets.iter().map(Set::visited).collect();
+            let judged = judge(&views, &root.visited(), &background);
             let more = uncertain_effects(ground, scorer, &sets, root, &judged, seed);
             if more.is_empty() {
                 break judged;

@@ -31,8 +31,8 @@ const ROUNDS: usize = 6;
 pub struct Equations {
     /// One a run.
     pub runs: Vec<Normal>,
-    /// Residuals in all.
-    pub rows: f64,
+    /// How many independent residuals they count as.
+    pub independent: f64,
 }
 
 /// Normal equations of one run.
@@ -59,7 +59,8 @@ impl Equations {
                 Normal { b: b + shift, g, yy }
             })
             .collect();
-        Self { runs, rows: designs.iter().map(|d| d.y.len() as f64).sum() }
+        let rows = designs.iter().map(|d| d.y.len() as f64).sum();
+        Self { independent: independent(rows, designs.len()), runs }
     }
 
     /// What more `columns` would take of the squared error, in rpm²·s, beside those `with`, and what there is without them; each run has
@@ -80,9 +81,17 @@ impl Equations {
     pub fn floor(&self) -> f64 {
         MODEL_FLOOR * MODEL_FLOOR * self.runs.iter().map(|r| r.g[(0, 0)]).sum::<f64>()
     }
+}
 
-    fn independent(&self) -> f64 {
-        independent(self.rows, self.runs.len())
+impl Normal {
+    /// Of `XᵀX`, `Xᵀy` and `yᵀy`; column 0 of X is the predicted speed.
+    pub fn new(g: DMatrix<f64>, b: DVector<f64>, yy: f64) -> Self {
+        Self { g, b, yy }
+    }
+
+    /// `yᵀy`.
+    pub fn squared(&self) -> f64 {
+        self.yy
     }
 }
 
@@ -267,7 +276,7 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
     let sizes: Vec<f64> = (0..groups).map(|k| q.own.iter().filter(|o| o.1 == k).count() as f64).collect();
     let mut powers = vec![0.01; groups];
     let mut variance = start.variance;
-    let independent = equations.independent();
+    let independent = equations.independent;
     let mut taus = start.taus;
     let mut found = None;
     let mut common_freedom = None;

@@ -52,6 +52,14 @@ impl Level {
         Self { kernels, medians: MEDIANS }
     }
 
+    /// Of runs that differ by chance alone, by about `usual`; nothing is known of duty, direction or order.
+    pub fn by_chance(runs: usize, usual: f64) -> Self {
+        let none = || DMatrix::zeros(runs, runs);
+        let mut medians = MEDIANS;
+        medians[0] = usual;
+        Self { kernels: [DMatrix::identity(runs, runs), none(), none(), none(), none()], medians }
+    }
+
     /// The same where effects have moved the gains by `shift` (root mean square): a twentieth of that is form.
     pub fn beside_a_shift(&self, shift: f64) -> Self {
         let mut medians = self.medians;

@@ -14,13 +14,13 @@ use super::set::{Part, Set, key, strip};
 use super::weighing::FREE_FORM_COST;
 
 /// Most effects in a set.
-const MOST_EFFECTS: usize = 4;
+pub(super) const MOST_EFFECTS: usize = 4;
 /// Most sets from which others are looked for.
-const MOST_EXPANDED: usize = 6;
+pub(super) const MOST_EXPANDED: usize = 6;
 /// Effects of a set's candidates that are refitted.
-const TRIED: usize = 4;
+pub(super) const TRIED: usize = 4;
 /// A set this far behind the best, in nats, is not looked at further: what it leads to has to make up for that too.
-const WINDOW: f64 = 9.0;
+pub(super) const WINDOW: f64 = 9.0;
 /// Share of the root's noise below which its baseline is doubted: half the noise is half the evidence that it was chosen by.
 const MOST_NOISE_LEFT: f64 = 0.5;
 /// Other rotors that are refitted for a few steps.

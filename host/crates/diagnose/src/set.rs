@@ -5,6 +5,7 @@ use super::library::Phased;
 use super::problem::Model;
 use super::refit::{Free, put_coefficients};
 use super::rotor::{P, Parameters};
+use super::verdict::Visited;
 
 /// One effect in a set.
 #[derive(Debug, Clone)]
@@ -54,6 +55,18 @@ impl Set {
     pub fn key(&self) -> Vec<usize> {
         key(&self.parts)
     }
+
+    /// What the verdict has to know of it.
+    pub fn visited(&self) -> Visited {
+        Visited {
+            key: self.key(),
+            score: self.score,
+            left: self.weighed.left,
+            taus: self.weighed.taus,
+            terms: self.terms.clone(),
+            courses: self.courses.clone(),
+        }
+    }
 }
 
 /// Indices of the effects, sorted.
@@ -78,24 +91,4 @@ pub fn strip(model: &Model, part: &Part) -> Model {
     let zero = vec![vec![0.0; 2 * part.phased.len()]; m.terms.len()];
     put_coefficients(&mut m, &part.phased, &zero);
     m
-}
-
-#[cfg(test)]
-impl Set {
-    /// A set of these effects with a score and a squared error left, and nothing else to say of it.
-    pub fn of(effects: &[usize], score: f64, left: f64) -> Self {
-        let part = |effect: &usize| Part { effect: *effect, form: 0, free: Vec::new(), phased: Vec::new() };
-        let weighed = Weighed {
-            log: score,
-            left,
-            variance: 1.0,
-            taus: [0.01; 5],
-            gains: Vec::new(),
-            common: Vec::new(),
-            powers: Vec::new(),
-        };
-        let model = Model { parameters: Parameters::new(1.0, 1.0, 1.0, 0.0, 0.0), terms: Vec::new() };
-        let parts = effects.iter().map(part).collect();
-        Self { parts, model, score, weighed, terms: Vec::new(), courses: Vec::new(), expanded: false }
-    }
 }

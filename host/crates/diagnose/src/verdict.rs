@@ -3,8 +3,8 @@
 //! Every number that decides is here, with its reason; what the evidence itself rests on is in [`super::evidence`],
 //! [`super::level`], [`super::search`] and the priors of the library.
 
-use super::level::NAMES;
-use super::set::Set;
+use super::level::{NAMES, Taus};
+use super::set::Course;
 
 /// Least probability of a name: one wrong in twenty is what a person can live with.
 pub const NAMED: f64 = 0.95;
@@ -23,7 +23,7 @@ pub const ALIKE: f64 = 40.0;
 const MOST_BESIDE: f64 = 0.4;
 /// Share of what is within runs that they may take, beyond chance, with courses of their own over time or angle where nothing is hidden:
 /// the sampling of edges has none. In 30 motors without an effect it was 0.032 at most (generators B, C and D).
-const MOST_OF_A_COURSE: f64 = 0.05;
+pub const MOST_OF_A_COURSE: f64 = 0.05;
 /// Nats that a spread of gains over duty, direction or order may cost against what is believed of it: beyond, something moves the gains
 /// that no effect of the set explains. 3.3 deviations, one in a thousand.
 const LARGEST_SPREAD: f64 = 5.5;
@@ -31,6 +31,23 @@ const LARGEST_SPREAD: f64 = 5.5;
 pub const LEAST_GAIN: f64 = 0.05;
 /// Largest p-value of the same.
 pub const LARGEST_P: f64 = 0.01;
+
+/// What the verdict knows of a set of effects that was visited, whatever plant it belongs to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Visited {
+    /// Indices of its effects, sorted.
+    pub key: Vec<usize>,
+    /// Log evidence with costs and priors.
+    pub score: f64,
+    /// Squared error that is left.
+    pub left: f64,
+    /// Spreads of the gains.
+    pub taus: Taus,
+    /// Terms without physics that the data ask for beside it, strongest first, with the squared error that is then left.
+    pub terms: Vec<(&'static str, f64)>,
+    /// Share of the squared error left that a course of each run's own would take, by the term's name.
+    pub courses: Vec<Course>,
+}
 
 /// What may be said.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,6 +77,10 @@ pub struct Background<'a> {
     pub temperature: f64,
     /// Whether two effects do the same to the data but for their form.
     pub alike: &'a dyn Fn(usize, usize) -> bool,
+    /// Nats by which one of two such effects has to lead.
+    pub clear_lead: f64,
+    /// Share of what is within runs that courses of their own may take where nothing is found.
+    pub most_of_a_course: f64,
     /// Whether all that an effect does, it does within a run.
     pub within_runs: &'a dyn Fn(usize) -> bool,
     /// Log prior of one spread of the gains.
@@ -68,12 +89,12 @@ pub struct Background<'a> {
 
 /// The visited sets with their probabilities.
 struct Weighted<'a> {
-    sets: &'a [Set],
+    sets: &'a [Visited],
     weights: Vec<f64>,
 }
 
 impl<'a> Weighted<'a> {
-    fn new(sets: &'a [Set], temperature: f64) -> Self {
+    fn new(sets: &'a [Visited], temperature: f64) -> Self {
         let weights: Vec<f64> = sets.iter().map(|s| ((s.score - sets[0].score) / temperature).exp()).collect();
         let total: f64 = weights.iter().sum();
         Self { sets, weights: weights.into_iter().map(|w| w / total).collect() }
@@ -81,7 +102,7 @@ impl<'a> Weighted<'a> {
 
     /// The probability that one of these is there.
     fn any(&self, of: &[usize]) -> f64 {
-        let holds = |s: &&Set| s.parts.iter().any(|p| of.contains(&p.effect));
+        let holds = |s: &&Visited| s.key.iter().any(|e| of.contains(e));
         self.sets.iter().zip(&self.weights).filter(|(s, _)| holds(s)).map(|(_, w)| w).sum()
     }
 
@@ -102,9 +123,9 @@ impl<'a> Weighted<'a> {
 }
 
 /// Judges the visited sets, best first. `root` is the set without effects.
-pub fn judge(sets: &[Set], root: &Set, background: &Background) -> Judgement {
+pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judgement {
     let weighted = Weighted::new(sets, background.temperature);
-    let mut effects: Vec<usize> = sets.iter().flat_map(Set::key).collect();
+    let mut effects: Vec<usize> = sets.iter().flat_map(|s| s.key.iter().copied()).collect();
     effects.sort_unstable();
     effects.dedup();
     let of = |e: usize| (e, weighted.any(&[e]));
@@ -112,7 +133,7 @@ pub fn judge(sets: &[Set], root: &Set, background: &Background) -> Judgement {
     inclusion.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut named: Vec<usize> = inclusion.iter().filter(|(_, p)| *p >= NAMED).map(|(e, _)| *e).collect();
     let mut one_of = sets_of_rivals(&weighted, &inclusion, background.alike);
-    for (effect, rival) in close_rivals(sets, &named, background.alike) {
+    for (effect, rival) in close_rivals(sets, &named, background) {
         named.retain(|e| *e != effect);
         let at = one_of.iter().position(|set| set.contains(&effect) || set.contains(&rival)).unwrap_or_else(|| {
             one_of.push(Vec::new());
@@ -132,8 +153,8 @@ pub fn judge(sets: &[Set], root: &Set, background: &Background) -> Judgement {
     let lives_in = left_without_cause(&sets[0], root, &causes, background);
     let beside: f64 = lives_in.iter().map(|l| l.1).sum();
     // A cause that makes the runs differ by more than they did is none.
-    let taus = sets[0].weighed.taus;
-    let worse = (1..NAMES.len()).any(|k| spread(k, taus[k]) < -LARGEST_SPREAD && taus[k] > root.weighed.taus[k]);
+    let taus = sets[0].taus;
+    let worse = (1..NAMES.len()).any(|k| spread(k, taus[k]) < -LARGEST_SPREAD && taus[k] > root.taus[k]);
     let withheld = beside > MOST_BESIDE || worse && !named.is_empty();
     if withheld {
         named.clear();
@@ -164,27 +185,33 @@ fn sets_of_rivals(
 }
 
 /// Named effects with what looks like them and is behind by no more than forms differ: rivals, whatever the probabilities.
-fn close_rivals(sets: &[Set], named: &[usize], alike: &dyn Fn(usize, usize) -> bool) -> Vec<(usize, usize)> {
+fn close_rivals(sets: &[Visited], named: &[usize], background: &Background) -> Vec<(usize, usize)> {
     let near = |e: usize| {
-        let without = sets.iter().filter(move |s| s.score > sets[0].score - ALIKE && !s.key().contains(&e));
-        without.flat_map(Set::key).map(move |rival| (e, rival))
+        let without =
+            sets.iter().filter(move |s| s.score > sets[0].score - background.clear_lead && !s.key.contains(&e));
+        without.flat_map(|s| s.key.iter().copied()).map(move |rival| (e, rival))
     };
     let pairs = named.iter().flat_map(|e| near(*e));
-    pairs.filter(|(e, rival)| e != rival && alike(*e, *rival) && !named.contains(rival)).collect()
+    pairs.filter(|(e, rival)| e != rival && (background.alike)(*e, *rival) && !named.contains(rival)).collect()
 }
 
 /// Where something lives that the causes do not explain, with the share of all removed squared error that it would remove.
-fn left_without_cause(best: &Set, root: &Set, causes: &[usize], background: &Background) -> Vec<(&'static str, f64)> {
-    let after = best.terms.last().map_or(best.weighed.left, |t| t.1);
-    let removed = (root.weighed.left - after).max(1e-12);
-    let mut before = best.weighed.left;
+fn left_without_cause(
+    best: &Visited,
+    root: &Visited,
+    causes: &[usize],
+    background: &Background,
+) -> Vec<(&'static str, f64)> {
+    let after = best.terms.last().map_or(best.left, |t| t.1);
+    let removed = (root.left - after).max(1e-12);
+    let mut before = best.left;
     let mut lives_in = Vec::new();
     for (place, left) in &best.terms {
         lives_in.push((*place, ((before - left) / removed).clamp(0.0, 1.0)));
         before = *left;
     }
     for (k, name) in NAMES.iter().enumerate() {
-        if (background.log_prior_of_spread)(k, best.weighed.taus[k]) < -LARGEST_SPREAD && best.weighed.taus[k] > 0.01 {
+        if (background.log_prior_of_spread)(k, best.taus[k]) < -LARGEST_SPREAD && best.taus[k] > 0.01 {
             lives_in.push((name, 0.0));
         }
     }
@@ -193,7 +220,7 @@ fn left_without_cause(best: &Set, root: &Set, causes: &[usize], background: &Bac
     }
     let Some(course) = best.courses.first() else { return lives_in };
     if causes.is_empty() {
-        lives_in.extend((course.share > MOST_OF_A_COURSE).then_some((course.lives_in, course.share)));
+        lives_in.extend((course.share > background.most_of_a_course).then_some((course.lives_in, course.share)));
     } else if causes.iter().all(|e| (background.within_runs)(*e)) {
         // What causes over the runs remove, gains that differ had taken already: nothing can be held against it.
         let share = course.taken / removed;
@@ -204,25 +231,30 @@ fn left_without_cause(best: &Set, root: &Set, causes: &[usize], background: &Bac
 
 #[cfg(test)]
 mod tests {
-    use super::super::set::Course;
     use super::*;
 
+    fn set(effects: &[usize], score: f64, left: f64) -> Visited {
+        Visited { key: effects.to_vec(), score, left, taus: [0.01; 5], terms: Vec::new(), courses: Vec::new() }
+    }
+
     /// Effects 0 and 1 look alike, and 2 and 3; what is even acts within runs.
-    fn judged(sets: &[Set]) -> Judgement {
+    fn judged(sets: &[Visited]) -> Judgement {
         let background = Background {
             temperature: 1.0,
             alike: &|a, b| a / 2 == b / 2,
+            clear_lead: ALIKE,
+            most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|e| e % 2 == 0,
             log_prior_of_spread: &|_, _| 0.0,
         };
-        judge(sets, sets.iter().find(|s| s.parts.is_empty()).expect("there is a root"), &background)
+        judge(sets, sets.iter().find(|s| s.key.is_empty()).expect("there is a root"), &background)
     }
 
     /// Fails if rivals of different kinds make one set: a person would take either of four where it is one of each two.
     #[test]
     fn rivals_are_told_apart_by_what_they_look_like() {
-        let pairs = [[0, 2], [0, 3], [1, 2], [1, 3]].map(|pair| Set::of(&pair, 100.0, 1.0));
-        let sets = [pairs.to_vec(), vec![Set::of(&[], 0.0, 9.0)]].concat();
+        let pairs = [[0, 2], [0, 3], [1, 2], [1, 3]].map(|pair| set(&pair, 100.0, 1.0));
+        let sets = [pairs.to_vec(), vec![set(&[], 0.0, 9.0)]].concat();
         assert_eq!(judged(&sets).one_of, [vec![0, 1], vec![2, 3]]);
     }
 
@@ -230,11 +262,11 @@ mod tests {
     #[test]
     fn a_set_is_the_smallest_that_holds() {
         let sets = [
-            Set::of(&[4, 0], 100.0, 1.0),
-            Set::of(&[0], 99.9, 1.0),
-            Set::of(&[4, 1], 99.8, 1.0),
-            Set::of(&[1], 99.7, 1.0),
-            Set::of(&[], 0.0, 9.0),
+            set(&[4, 0], 100.0, 1.0),
+            set(&[0], 99.9, 1.0),
+            set(&[4, 1], 99.8, 1.0),
+            set(&[1], 99.7, 1.0),
+            set(&[], 0.0, 9.0),
         ];
         assert_eq!(judged(&sets).one_of, [vec![0, 1]]);
     }
@@ -243,7 +275,7 @@ mod tests {
     #[test]
     fn a_lead_over_what_looks_alike_has_to_be_clear() {
         let of = |rival: usize, behind: f64| {
-            judged(&[Set::of(&[0], 200.0, 1.0), Set::of(&[rival], 200.0 - behind, 1.0), Set::of(&[], 0.0, 9.0)])
+            judged(&[set(&[0], 200.0, 1.0), set(&[rival], 200.0 - behind, 1.0), set(&[], 0.0, 9.0)])
         };
         assert_eq!((of(1, 0.9 * ALIKE).named, of(1, 0.9 * ALIKE).one_of), (vec![], vec![vec![0, 1]]));
         assert_eq!(of(1, 1.1 * ALIKE).named, [0]);
@@ -254,9 +286,9 @@ mod tests {
     #[test]
     fn a_course_of_its_own_in_each_run_is_another_cause() {
         let of = |effect: usize, course: f64| {
-            let mut best = Set::of(&[effect], 100.0, 10.0);
+            let mut best = set(&[effect], 100.0, 10.0);
             best.courses = vec![Course { lives_in: "time, each run its own", taken: 10.0 * course, share: course }];
-            judged(&[best, Set::of(&[], 0.0, 20.0)])
+            judged(&[best, set(&[], 0.0, 20.0)])
         };
         assert!(of(0, 0.5).withheld && of(0, 0.5).named.is_empty());
         assert_eq!(of(0, 0.3).named, [0]);

@@ -15,12 +15,12 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// What an effect costs before the data, in nats: one in twenty effects is there.
-const EFFECT_COST: f64 = 3.0;
+pub(super) const EFFECT_COST: f64 = 3.0;
 /// What a second effect over the same coordinate costs besides: the difference between the library's form of one and the real one lies
 /// there too.
-const SAME_COORDINATE: f64 = 10.0;
+pub(super) const SAME_COORDINATE: f64 = 10.0;
 /// What a term without physics costs: a cause of the library is the likelier explanation by far, but not beyond all evidence.
-const TERM_COST: f64 = 10.0;
+pub(super) const TERM_COST: f64 = 10.0;
 /// The same where an effect of the library acts over the term's coordinate: there the term is a form of that effect that nobody knows.
 pub(super) const FREE_FORM_COST: f64 = 20.0;
 /// Relative error of speed from which a wheel is no wheel: it would read motion out of its own error.

@@ -1,5 +1,6 @@
 //! What was identified, as text for a terminal.
 
+use crate::diagnose::inertial::MotorReport;
 use crate::identify::{force_factor, friction, stator};
 use crate::report::table::table;
 use std::fmt::Write as _;
@@ -139,6 +140,42 @@ pub fn force_factor(report: &force_factor::Report) -> String {
     }
     for note in &report.notes {
         let _ = writeln!(out, "note: {note}");
+    }
+    out
+}
+
+/// The numbers of an ordinary motor, and the input that cancels them.
+pub fn motor(report: &MotorReport) -> String {
+    let mut out = format!(
+        "{}; errors on what was not fitted: {:.3} rpm with gain and lag alone, {:.3} with all, noise {:.3}\n\n",
+        report.verdict.word(),
+        report.line_rmse_rpm,
+        report.rmse_rpm,
+        report.noise_floor_rpm
+    );
+    let rows: Vec<Vec<String>> = report
+        .parameters
+        .iter()
+        .map(|p| {
+            let interval = format!("[{}, {}]", figure(p.ci95[0]), figure(p.ci95[1]));
+            vec![p.name.clone(), figure(p.value), interval, p.unit.clone(), p.effect.clone()]
+        })
+        .collect();
+    out += &table(&["", "fit", "95 % interval", "", "of"], &rows);
+    let _ = writeln!(
+        out,
+        "\nsizes are shares of the largest input, {}; `ambiguous` could be another effect",
+        report.largest_input
+    );
+    if let Some(c) = &report.compensation {
+        let _ = writeln!(
+            out,
+            "\nfeed-forward  {}\nexpected      {:.3} rpm of error in a sine of half the reach, {:.3} with gain and lag alone (simulated)",
+            c.formula, c.rms_rpm, c.line_rms_rpm
+        );
+    }
+    for note in &report.notes {
+        let _ = writeln!(out, "\nnote: {note}");
     }
     out
 }

@@ -133,7 +133,9 @@ fn errors_of_tables_name_line_and_column() {
     assert!(refusal("velocity", b"time_us,rpm\n0,1\n1\n").starts_with("3:2: 1 of 2 columns"));
     assert!(refusal("velocity", b"time_us,rpm\n0,1,2\n").starts_with("2:5: more than the 2 columns"));
     assert!(refusal("velocity", b"time_us,rpm\n0,1\n9e10,1\n").contains("24 hours"));
-    assert!(refusal("velocity", b"time_us,rpm\n0,1\n1,-1e300\n").starts_with("3:3: -1e300 rpm: no motor turns that fast"));
+    assert!(
+        refusal("velocity", b"time_us,rpm\n0,1\n1,-1e300\n").starts_with("3:3: -1e300 rpm: no motor turns that fast")
+    );
     assert!(refusal("velocity", &[b'x'; 5000]).contains("line longer than"));
     assert!(
         refusal("control", b"time_us,target,position,u,duty,direction\n0,0,0,0,50,1\n").starts_with("2:9: duty 50")

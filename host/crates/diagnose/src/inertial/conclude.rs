@@ -1,0 +1,356 @@
+//! Scores, numbers and left-overs of the sets that were visited.
+
+use super::super::finding::{Estimate, Finding, Status, Unknown};
+use super::super::stats::HeldOut;
+use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, TEMPERATURE, Visited, judge};
+use super::compensation::Fitted;
+use super::data::Data;
+use super::effects::{Coordinate, EFFECTS, twin};
+use super::fit::Plant;
+use super::held_out::{Chance, Scorer, squared_error};
+use super::numbers::{estimates, own_numbers};
+use super::plant::simulate_all;
+use super::sets::{Ground, Part, Set, memory};
+
+/// Lead in nats from which an effect needs no second opinion of runs held out; as for runs of a TWUM.
+const BEYOND_DOUBT: f64 = 25.0;
+/// Nats by which friction has to lead a dead zone, or dead time a second lag, where what is left has a form: half of what a TWUM's need,
+/// whose equations are less well known.
+const CLEAR_LEAD: f64 = 20.0;
+/// Share of the rest that courses of the runs' own may take where nothing is found: gains shrunk towards one another leave some.
+const MOST_OF_A_COURSE: f64 = 0.15;
+/// Share of what is left that neighbours foretell, from which "nothing" may not be said.
+const MOST_FORETOLD: f64 = 0.5;
+/// Share of the usual speed below which what is left is nobody's concern: twice what no equation is believed below.
+const NEGLIGIBLE: f64 = 0.01;
+/// Samples that noise lasts at most: beyond, what is left has a form that no effect of the set has.
+const MOST_MEMORY_OF_NOISE: f64 = 1.5;
+
+/// What was found.
+#[derive(Debug, Clone)]
+pub struct InertialOutcome {
+    /// The runs as they were compared.
+    pub data: Data,
+    /// Speeds of the line with a lag, refitted: a list a run, in rpm.
+    pub before: Vec<Vec<f64>>,
+    /// Speeds of the plant with all accepted effects, the same.
+    pub after: Vec<Vec<f64>>,
+    /// Evidence an effect.
+    pub findings: Vec<Finding>,
+    /// Without a cause.
+    pub unknown: Vec<Unknown>,
+    /// Effects that these runs cannot show, with the reason.
+    pub not_judged: Vec<(String, String)>,
+    /// Held-out errors of baseline and extended plant.
+    pub held_out: HeldOut,
+    /// Noise floor in rpm.
+    pub noise_floor: f64,
+    /// Numbers that belong to the motor itself, with 95 % intervals.
+    pub own: Vec<Estimate>,
+    /// The plant with all accepted effects and the line; none where the runs are not of one motor.
+    pub fitted: Option<Fitted>,
+    /// What else must be said.
+    pub notes: Vec<String>,
+}
+
+/// Draws the conclusions from sets, best first.
+pub fn conclude(ground: &Ground, visited: &[Set], repetitions: usize, seed: u64) -> InertialOutcome {
+    let root = visited.iter().find(|s| s.parts.is_empty()).unwrap_or(&visited[0]);
+    let scorer = Scorer::new(ground);
+    let standing = Standing::of(&scorer, visited, root, seed);
+    let accepted = accepted_set(&standing.sets, &standing.judged, root);
+    let held = scorer.held_out(root).against(&scorer.held_out(accepted));
+    let singles: Vec<(usize, &Set)> =
+        visited.iter().filter(|s| s.parts.len() == 1).map(|s| (s.parts[0].effect, s)).collect();
+    let chance = Chance::new(ground, root, &singles, repetitions, seed);
+    let view = View { ground, scorer: &scorer, visited, root, standing: &standing, chance: &chance, seed };
+    let mut findings: Vec<Finding> = accepted.parts.iter().map(|part| view.accepted(accepted, *part)).collect();
+    share_out(ground, visited, root, accepted, &mut findings);
+    findings.extend(view.others(accepted));
+    // The motor's own second lag is no cause, though it may be what looks like one.
+    findings.retain(|f| EFFECTS.iter().all(|e| e.name != f.name || !e.own || f.status == Status::Ambiguous));
+    let foretold = foretold(ground.data, &accepted.plant);
+    let speeds = |plant: &Plant| -> Vec<Vec<f64>> {
+        simulate_all(ground.data, &plant.values, &plant.starts).into_iter().map(|m| m.rpm).collect()
+    };
+    let unknown = left_over(ground, &standing.judged, &findings, &held, foretold);
+    InertialOutcome {
+        data: ground.data.clone(),
+        before: speeds(&root.plant),
+        after: speeds(&accepted.plant),
+        unknown,
+        not_judged: Vec::new(),
+        notes: Vec::new(),
+        noise_floor: noise_floor(ground, &held, foretold),
+        own: own_numbers(ground, accepted),
+        fitted: Some(Fitted { line: root.plant.values, plant: accepted.plant.values }),
+        held_out: held,
+        findings,
+    }
+}
+
+/// What the sets say together with runs held out.
+struct Standing {
+    /// The sets without what was struck, best first.
+    sets: Vec<Set>,
+    judged: Judgement,
+    struck: Vec<usize>,
+}
+
+impl Standing {
+    fn of(scorer: &Scorer, visited: &[Set], root: &Set, seed: u64) -> Self {
+        let ground = scorer.ground;
+        // Where noise alone is left, no form is wrong.
+        let form_counts = memory(ground.data, &visited[0].plant) > MOST_MEMORY_OF_NOISE;
+        // Over one slow pass friction and a dead zone are one thing, whatever the form of what lies above.
+        let one_pass = ground.data.passes_once();
+        let background = Background {
+            temperature: TEMPERATURE,
+            alike: &|named, rival| (form_counts || one_pass) && alike(named, rival),
+            clear_lead: if one_pass { f64::INFINITY } else { CLEAR_LEAD },
+            most_of_a_course: MOST_OF_A_COURSE,
+            within_runs: &|_| true,
+            log_prior_of_spread: &|k, tau| ground.level.log_prior_of(k, tau),
+        };
+        let mut sets = visited.to_vec();
+        let mut struck = Vec::new();
+        loop {
+            let views: Vec<Visited> = sets.iter().map(Set::visited).collect();
+            let mut judged = judge(&views, &root.visited(), &background);
+            if starts(ground.data) < 2 {
+                seen_once(&mut judged);
+            }
+            let more = uncertain_effects(scorer, &sets, root, &judged, seed);
+            if more.is_empty() {
+                return Self { sets, judged, struck };
+            }
+            sets.retain(|s| !s.key().iter().any(|e| more.contains(e)));
+            struck.extend(more);
+        }
+    }
+}
+
+/// Friction and a dead zone differ in how a motor runs down, dead time and a second lag in how a step begins.
+fn alike(named: usize, rival: usize) -> bool {
+    let number = |e: usize| EFFECTS[e].forms[0].numbers[0];
+    !EFFECTS[named].own && twin(number(named)) == Some(number(rival))
+}
+
+/// How often the motor starts, stops or turns round.
+fn starts(data: &Data) -> usize {
+    let mut count = 0;
+    for run in &data.runs {
+        let largest = run.rpm.iter().fold(0.0f64, |a, v| a.max(v.abs()));
+        let mut sense = f64::NAN;
+        for v in &run.rpm {
+            let now = if v.abs() < 0.02 * largest { 0.0 } else { v.signum() };
+            // Between a rest and a motion there is room for noise.
+            if now != 0.0 && v.abs() < 0.1 * largest {
+                continue;
+            }
+            count += usize::from(!sense.is_nan() && now != sense);
+            sense = now;
+        }
+    }
+    count
+}
+
+/// What acts at rest or after a change is one of several things where the motor started once.
+fn seen_once(judged: &mut Judgement) {
+    let once = |e: &usize| matches!(EFFECTS[*e].coordinate, Coordinate::Rest | Coordinate::Time);
+    let said: Vec<usize> = judged.named.iter().chain(judged.one_of.iter().flatten()).copied().filter(once).collect();
+    if said.is_empty() {
+        return;
+    }
+    judged.named.retain(|e| !once(e));
+    judged.one_of.retain(|set| !set.iter().any(once));
+    let mut set = said;
+    set.extend(judged.inclusion.iter().map(|i| i.0).filter(once));
+    set.sort_unstable();
+    set.dedup();
+    judged.one_of.push(set);
+}
+
+/// An effect that does not for certain help where it was not fitted, with those that it cannot be told from; empty if all do.
+fn uncertain_effects(scorer: &Scorer, sets: &[Set], root: &Set, judged: &Judgement, seed: u64) -> Vec<usize> {
+    let lead = |effect: usize| {
+        let group = judged.set_of(effect).cloned().unwrap_or_else(|| vec![effect]);
+        let best = |with: bool| {
+            let of = sets.iter().filter(|s| s.key().iter().any(|e| group.contains(e)) == with);
+            of.map(|s| s.score).fold(f64::NEG_INFINITY, f64::max)
+        };
+        best(true) - best(false)
+    };
+    let accepted = accepted_set(sets, judged, root);
+    let all = scorer.held_out(accepted);
+    let doubtful = (0..accepted.parts.len()).find(|k| {
+        lead(accepted.parts[*k].effect) < BEYOND_DOUBT && {
+            let less = scorer.held_out(&scorer.ground.without(accepted, *k, sets));
+            let held = less.against(&all);
+            held.gain() < LEAST_GAIN && held.gain_interval(seed)[0] <= 0.0
+        }
+    });
+    let effect = doubtful.map(|k| accepted.parts[k].effect);
+    effect.map_or(Vec::new(), |e| judged.set_of(e).cloned().unwrap_or_else(|| vec![e]))
+}
+
+/// The best set that holds every named effect, one of each set of rivals, and nothing else; where none holds all, most of them. The
+/// motor's own are free to be there.
+fn accepted_set<'a>(sets: &'a [Set], judged: &Judgement, root: &'a Set) -> &'a Set {
+    let said = |e: &usize| EFFECTS[*e].own || judged.named.contains(e) || judged.set_of(*e).is_some();
+    let holds = |s: &Set| {
+        let key = s.key();
+        let named = judged.named.iter().filter(|e| key.contains(e)).count();
+        named + judged.one_of.iter().filter(|set| key.iter().any(|e| set.contains(e))).count()
+    };
+    let of_said = sets.iter().filter(|s| s.key().iter().all(said));
+    // The first of equals is the best.
+    of_said.reduce(|best, s| if holds(s) > holds(best) { s } else { best }).unwrap_or(root)
+}
+
+/// What findings are made from.
+struct View<'a> {
+    ground: &'a Ground<'a>,
+    scorer: &'a Scorer<'a>,
+    visited: &'a [Set],
+    root: &'a Set,
+    standing: &'a Standing,
+    chance: &'a Chance,
+    seed: u64,
+}
+
+impl View<'_> {
+    fn probability(&self, effect: usize) -> f64 {
+        self.standing.judged.inclusion.iter().find(|i| i.0 == effect).map_or(0.0, |i| i.1)
+    }
+
+    fn rivals(&self, effect: usize) -> Vec<String> {
+        let others = self.standing.judged.set_of(effect).into_iter().flatten().filter(|o| **o != effect);
+        others.map(|o| EFFECTS[*o].name.to_owned()).collect()
+    }
+
+    fn accepted(&self, accepted: &Set, part: Part) -> Finding {
+        let at = accepted.parts.iter().position(|p| *p == part).unwrap_or(0);
+        let less = self.ground.without(accepted, at, self.visited);
+        let held = self.scorer.held_out(&less).against(&self.scorer.held_out(accepted));
+        let ambiguous = self.standing.judged.set_of(part.effect).is_some();
+        let effect = &EFFECTS[part.effect];
+        let parameters = estimates(self.ground, accepted, effect.forms[part.form].numbers);
+        // A size that could be none is no cause yet.
+        let could_be_none = parameters.iter().all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
+        Finding {
+            name: effect.name.to_owned(),
+            status: match (ambiguous || could_be_none || held.gain_interval(self.seed)[0] <= 0.0, effect.own) {
+                (true, _) => Status::Ambiguous,
+                (false, true) => Status::Rejected,
+                (false, false) => Status::Named,
+            },
+            probability: Some(self.probability(part.effect)),
+            gain: held.gain(),
+            gain_interval: held.gain_interval(self.seed),
+            p_null: self.chance.p(part.effect, Some(&held)),
+            parameters,
+            conflicts: self.rivals(part.effect),
+            next_experiment: effect.next_experiment.to_owned(),
+            share: 0.0,
+            note: if could_be_none { "likely, but its size could be none" } else { "" }.to_owned(),
+        }
+    }
+
+    /// The effects beside the accepted set: rivals, what was struck, and what no probability is left for.
+    fn others(&self, accepted: &Set) -> Vec<Finding> {
+        let Standing { judged, struck, .. } = self.standing;
+        let mut effects: Vec<usize> = Vec::new();
+        let singles = self.visited.iter().filter(|s| s.parts.len() == 1).map(|s| s.parts[0].effect);
+        for e in judged.inclusion.iter().map(|i| i.0).chain(singles) {
+            if !accepted.key().contains(&e) && !effects.contains(&e) {
+                effects.push(e);
+            }
+        }
+        let one = |effect: usize| {
+            let alone = self.visited.iter().find(|s| s.key() == [effect]);
+            let held = alone.map(|s| self.scorer.held_out(self.root).against(&self.scorer.held_out(s)));
+            let probability = self.probability(effect);
+            let set = self.visited.iter().filter(|_| probability > 0.0).find(|s| s.key().contains(&effect));
+            let part = set.and_then(|s| s.parts.iter().find(|p| p.effect == effect).map(|p| (s, p)));
+            Finding {
+                name: EFFECTS[effect].name.to_owned(),
+                status: if judged.set_of(effect).is_some() { Status::Ambiguous } else { Status::Rejected },
+                probability: Some(probability),
+                gain: held.as_ref().map_or(0.0, HeldOut::gain),
+                gain_interval: held.map_or([0.0; 2], |h| h.gain_interval(self.seed)),
+                p_null: self.chance.p(effect, None),
+                parameters: part
+                    .map_or_else(Vec::new, |(s, p)| estimates(self.ground, s, EFFECTS[effect].forms[p.form].numbers)),
+                conflicts: self.rivals(effect),
+                next_experiment: EFFECTS[effect].next_experiment.to_owned(),
+                share: 0.0,
+                note: if struck.contains(&effect) {
+                    "likely, but where it was not fitted it does not help for certain"
+                } else if judged.withheld && probability > 0.0 {
+                    "explains part of it, but more lives where no effect acts: not the cause"
+                } else {
+                    ""
+                }
+                .to_owned(),
+            }
+        };
+        effects.into_iter().map(one).collect()
+    }
+}
+
+/// Shares of the baseline's squared error that each effect removes: the mean of adding it first and adding it last.
+fn share_out(ground: &Ground, sets: &[Set], root: &Set, accepted: &Set, findings: &mut [Finding]) {
+    let error = |s: &Set| squared_error(ground.data, &s.plant);
+    let (none, all) = (error(root), error(accepted));
+    let removed: Vec<(usize, f64)> = (0..accepted.parts.len())
+        .map(|k| {
+            let effect = accepted.parts[k].effect;
+            let first = sets.iter().find(|s| s.key() == [effect]).map_or(none, &error);
+            let last = error(&ground.without(accepted, k, sets));
+            (effect, (0.5 * ((none - first) + (last - all))).max(0.0))
+        })
+        .collect();
+    let total: f64 = removed.iter().map(|r| r.1).sum();
+    for (effect, r) in removed {
+        if let Some(f) = findings.iter_mut().find(|f| f.name == EFFECTS[effect].name) {
+            f.share = r / total.max(1e-12) * (1.0 - all / none.max(1e-12)).max(0.0);
+        }
+    }
+}
+
+/// Share of what is left that the neighbours of a sample foretell: 0 of noise.
+fn foretold(data: &Data, plant: &Plant) -> f64 {
+    let motions = simulate_all(data, &plant.values, &plant.starts);
+    let (mut rr, mut ss, mut rs) = (0.0, 0.0, 0.0);
+    for (run, m) in data.runs.iter().zip(&motions) {
+        let rest: Vec<f64> = run.rpm.iter().zip(&m.rpm).map(|(y, p)| y - p).collect();
+        for w in rest.windows(5) {
+            let around = 0.25 * (w[0] + w[1] + w[3] + w[4]);
+            rr += w[2] * w[2];
+            ss += around * around;
+            rs += w[2] * around;
+        }
+    }
+    if rr > 0.0 && ss > 0.0 && rs > 0.0 { (rs * rs / (rr * ss)).min(1.0) } else { 0.0 }
+}
+
+/// What is left without any structure is noise, whatever made it; so is what is too small for any equation.
+fn noise_floor(ground: &Ground, held: &HeldOut, foretold: f64) -> f64 {
+    let left = held.rmse(1);
+    (left * (1.0 - foretold).sqrt()).max(left.min(NEGLIGIBLE * ground.data.usual_rpm))
+}
+
+/// Where something is that no effect explains. "Nothing" is never said beside most of the error.
+fn left_over(ground: &Ground, judged: &Judgement, findings: &[Finding], held: &HeldOut, foretold: f64) -> Vec<Unknown> {
+    let unknown = |lives_in, share| Unknown { lives_in, gain: share, share, p_null: LARGEST_P };
+    let mut all: Vec<Unknown> = judged.lives_in.iter().map(|(place, share)| unknown(place, *share)).collect();
+    let nothing = all.is_empty() && findings.iter().all(|f| f.status == Status::Rejected);
+    let left = held.rmse(1);
+    if nothing && left > NEGLIGIBLE * ground.data.usual_rpm && foretold > MOST_FORETOLD {
+        all.push(unknown("time: what is left follows from sample to sample", foretold));
+    } else if nothing && left > 0.5 * ground.data.usual_rpm {
+        all.push(unknown("the speed as a whole: it does not follow the input", 1.0));
+    }
+    all
+}

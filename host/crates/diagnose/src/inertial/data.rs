@@ -1,0 +1,215 @@
+//! The runs of an ordinary motor as they are compared: inputs relative to the largest, speeds of samples or of windows.
+
+use twum_record::measurement::{DriveResponse, Run, RunData};
+
+/// Fewest samples of which a run is made use of.
+const LEAST_SAMPLES: usize = 40;
+/// Share of the usual speed to which differences of positions are averaged: finer ones would be noise of the encoder.
+const WINDOW_NOISE: f64 = 0.02;
+/// Fewest windows a run is cut into.
+const LEAST_WINDOWS: usize = 40;
+
+/// One run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DriveRun {
+    /// Identifier.
+    pub id: String,
+    /// Times of the samples in s.
+    pub time: Vec<f64>,
+    /// The usual time between samples in s.
+    pub period_s: f64,
+    /// Input relative to the largest one of all runs, one entry a sample.
+    pub input: Vec<f64>,
+    /// What is compared, in rpm: the speed at each sample, or the mean speed of each window.
+    pub rpm: Vec<f64>,
+    /// Ends of the windows where positions were measured: samples `windows[k]` to `windows[k + 1]`.
+    pub windows: Option<Vec<usize>>,
+    /// Angle in revolutions at each sample, measured or summed up from the speed.
+    pub turns: Vec<f64>,
+}
+
+impl DriveRun {
+    /// The sample that stands for comparison `k`.
+    pub fn sample(&self, k: usize) -> usize {
+        self.windows.as_ref().map_or(k, |w| (w[k] + w[k + 1]) / 2)
+    }
+
+    /// The last sample whose input comparison `k` can show.
+    pub fn last_sample(&self, k: usize) -> usize {
+        self.windows.as_ref().map_or(k, |w| w[k + 1] - 1)
+    }
+
+    /// Every `by` samples as one: inputs and speeds averaged, positions taken as they are.
+    pub fn merged(&self, by: usize) -> Self {
+        if by == 1 {
+            return self.clone();
+        }
+        let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+        let averaged = |v: &[f64]| v.chunks_exact(by).map(mean).collect::<Vec<f64>>();
+        let every = |v: &[f64]| v.chunks_exact(by).map(|c| c[0]).collect::<Vec<f64>>();
+        let (time, turns) = (every(&self.time), every(&self.turns));
+        let windows = self.windows.as_ref().map(|_| windows(&time, &turns));
+        let rpm = windows.as_ref().map_or_else(|| averaged(&self.rpm), |w| window_speeds(&time, &turns, w));
+        Self {
+            id: self.id.clone(),
+            period_s: self.period_s * by as f64,
+            input: averaged(&self.input),
+            time,
+            rpm,
+            windows,
+            turns,
+        }
+    }
+
+    /// Some rows as a run.
+    pub fn stretch(&self, rows: std::ops::Range<usize>) -> Self {
+        let samples = match &self.windows {
+            None => rows.clone(),
+            Some(w) => w[rows.start]..w[rows.end] + 1,
+        };
+        let windows =
+            self.windows.as_ref().map(|w| w[rows.start..=rows.end].iter().map(|k| k - samples.start).collect());
+        Self {
+            id: self.id.clone(),
+            time: self.time[samples.clone()].to_vec(),
+            period_s: self.period_s,
+            input: self.input[samples.clone()].to_vec(),
+            rpm: self.rpm[rows].to_vec(),
+            windows,
+            turns: self.turns[samples].to_vec(),
+        }
+    }
+
+    /// Length in s.
+    pub fn seconds(&self) -> f64 {
+        self.time[self.time.len() - 1] - self.time[0]
+    }
+}
+
+/// All runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Data {
+    /// The runs.
+    pub runs: Vec<DriveRun>,
+    /// The largest input, in the record's unit.
+    pub largest_input: f64,
+    /// Usual speed: root mean square of all, in rpm.
+    pub usual_rpm: f64,
+    /// Whether the speeds of these runs have no sign although their inputs have.
+    pub unsigned: bool,
+}
+
+impl Data {
+    /// Reads the runs of format `drive`; what is left out is said.
+    pub fn read(runs: &[&Run]) -> (Self, Vec<String>) {
+        let mut out = Vec::new();
+        let mut notes = Vec::new();
+        for run in runs {
+            match read(run) {
+                Some(Ok(run)) => out.push(run),
+                Some(Err(note)) => notes.push(note),
+                None => {}
+            }
+        }
+        let largest_input = out.iter().flat_map(|r| &r.input).fold(0.0f64, |a, b| a.max(b.abs()));
+        if largest_input > 0.0 {
+            out.iter_mut().flat_map(|r| &mut r.input).for_each(|u| *u /= largest_input);
+        }
+        let (sum, count) =
+            out.iter().flat_map(|r| &r.rpm).fold((0.0, 0.0), |(sum, count), v| (sum + v * v, count + 1.0));
+        let reaches = |side: f64| out.iter().any(|r| r.input.iter().any(|v| v * side > 0.1));
+        let unsigned = reaches(1.0) && reaches(-1.0) && out.iter().all(|r| r.rpm.iter().all(|v| *v >= 0.0));
+        let usual_rpm = f64::sqrt(sum / f64::max(count, 1.0));
+        (Self { runs: out, largest_input, usual_rpm, unsigned }, notes)
+    }
+
+    /// Other runs in the same scale.
+    pub fn of(&self, runs: &[DriveRun]) -> Self {
+        Self {
+            runs: runs.to_vec(),
+            largest_input: self.largest_input,
+            usual_rpm: self.usual_rpm,
+            unsigned: self.unsigned,
+        }
+    }
+
+    /// Whether every run's input goes from one end of its range to the other and no more: its time then says nothing that it does not.
+    pub fn passes_once(&self) -> bool {
+        self.runs.iter().all(|run| {
+            let (low, high) = run.input.iter().fold((f64::MAX, f64::MIN), |(a, b), u| (a.min(*u), b.max(*u)));
+            let way: f64 = run.input.windows(2).map(|w| (w[1] - w[0]).abs()).sum();
+            way < 1.5 * (high - low)
+        })
+    }
+
+    /// How many speeds are compared.
+    pub fn rows(&self) -> usize {
+        self.runs.iter().map(|r| r.rpm.len()).sum()
+    }
+}
+
+fn read(run: &Run) -> Option<Result<DriveRun, String>> {
+    let RunData::Drive { time_us, input, response } = &run.data else { return None };
+    if input.len() < LEAST_SAMPLES {
+        return Some(Err(format!("run {}: {} samples, too few; left out", run.id, input.len())));
+    }
+    let time: Vec<f64> = time_us.iter().map(|t| t * 1e-6).collect();
+    let (rpm, windows, turns) = match response {
+        DriveResponse::SpeedRpm(rpm) => {
+            let mut turns = vec![0.0; rpm.len()];
+            for k in 1..rpm.len() {
+                turns[k] = turns[k - 1] + 0.5 * (rpm[k] + rpm[k - 1]) * (time[k] - time[k - 1]) / 60.0;
+            }
+            (rpm.clone(), None, turns)
+        }
+        DriveResponse::PositionRad(rad) => {
+            let turns: Vec<f64> = rad.iter().map(|p| p / std::f64::consts::TAU).collect();
+            let windows = windows(&time, &turns);
+            let rpm = window_speeds(&time, &turns, &windows);
+            (rpm, Some(windows), turns)
+        }
+    };
+    let period_s = period(&time);
+    Some(Ok(DriveRun { id: run.id.clone(), time, period_s, input: input.clone(), rpm, windows, turns }))
+}
+
+/// Mean speeds of windows in rpm.
+fn window_speeds(time: &[f64], turns: &[f64], windows: &[usize]) -> Vec<f64> {
+    let speed = |w: &[usize]| (turns[w[1]] - turns[w[0]]) / (time[w[1]] - time[w[0]]) * 60.0;
+    windows.windows(2).map(speed).collect()
+}
+
+/// The median step.
+fn period(time: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = time.windows(2).map(|t| t[1] - t[0]).collect();
+    let middle = steps.len() / 2;
+    *steps.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Windows over which differences of positions are taken: as short as the encoder's noise lets them be.
+fn windows(time: &[f64], turns: &[f64]) -> Vec<usize> {
+    let n = turns.len();
+    let usual = ((turns[n - 1] - turns[0]).abs().max(path(turns)) / (time[n - 1] - time[0])).max(1e-12);
+    let mut length = 1;
+    while n / (2 * length) >= LEAST_WINDOWS {
+        let ends: Vec<usize> = (0..n).step_by(length).collect();
+        let speeds: Vec<f64> =
+            ends.windows(2).map(|w| (turns[w[1]] - turns[w[0]]) / (time[w[1]] - time[w[0]])).collect();
+        let (sum, count) = speeds.windows(3).fold((0.0, 0.0), |(sum, count), v| {
+            let d = v[0] - 2.0 * v[1] + v[2];
+            // Errors of the ends come twice, with either sign: 20 of them squared in a second difference of speeds, 2 in a speed.
+            (sum + d * d / 10.0, count + 1.0)
+        });
+        if (sum / f64::max(count, 1.0)).sqrt() < WINDOW_NOISE * usual {
+            break;
+        }
+        length *= 2;
+    }
+    (0..n).step_by(length).collect()
+}
+
+fn path(turns: &[f64]) -> f64 {
+    // Steps of some samples, so that jitter of an encoder at rest is no way travelled.
+    let step = (turns.len() / 100).max(1);
+    turns.iter().step_by(step).zip(turns.iter().skip(step).step_by(step)).map(|(a, b)| (b - a).abs()).sum()
+}

@@ -1,0 +1,234 @@
+//! The library of effects of an ordinary motor, and what is believed of every number of the plant before the data.
+//!
+//! Sizes of inputs are shares of the largest one, times are in the record's own scale: nothing here knows a motor.
+
+use super::data::Data;
+use super::plant::P;
+
+/// A number that is fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Free {
+    /// Which.
+    pub number: P,
+    /// Centre of what is believed.
+    pub centre: f64,
+    /// Standard deviation of what is believed.
+    pub sd: f64,
+    /// Admissible range.
+    pub bounds: (f64, f64),
+    /// Step of the derivative.
+    pub step: f64,
+}
+
+impl Free {
+    /// Log density of a value, without its constant.
+    pub fn log_density(&self, value: f64) -> f64 {
+        -0.5 * ((value - self.centre) / self.sd).powi(2)
+    }
+}
+
+/// Over what an effect shows; two over one coordinate may be one whose form is not the library's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Coordinate {
+    /// Around standstill.
+    Rest,
+    /// At large inputs.
+    Top,
+    /// The two directions.
+    Direction,
+    /// The time after a change of the input.
+    Time,
+}
+
+/// One way in which an effect acts.
+#[derive(Debug, Clone, Copy)]
+pub struct Form {
+    /// Its numbers.
+    pub numbers: &'static [P],
+    /// Where the search begins, one value a number; of times, in samples.
+    pub starts: &'static [&'static [f64]],
+    /// Numbers without which it makes no sense.
+    pub needs: &'static [P],
+}
+
+/// An effect.
+#[derive(Debug, Clone, Copy)]
+pub struct Effect {
+    /// Name in the JSON.
+    pub name: &'static str,
+    /// What it is, in a sentence.
+    pub says: &'static str,
+    /// What the model gains.
+    pub equation: &'static str,
+    /// Over what it shows.
+    pub coordinate: Coordinate,
+    /// Ways in which it may act.
+    pub forms: &'static [Form],
+    /// What would tell it from its rivals.
+    pub next_experiment: &'static str,
+    /// Whether it belongs to what a motor is: reported as the plant's own, never as a cause.
+    pub own: bool,
+}
+
+const AROUND_THE_THRESHOLD: &str = "let the motor run down from full speed at input zero: friction brakes it to a stop in a straight line, a dead zone lets it \
+     coast along an exponential; then sweep the input slowly through zero: friction with a peak at rest shows a loop";
+const OTHER_WAY_ROUND: &str = "mount the motor the other way round and repeat the sweep: a load changes sides, the motor's own asymmetry does not";
+
+/// The library.
+pub const EFFECTS: [Effect; 8] = [
+    Effect {
+        name: "coulomb-friction",
+        says: "a friction that does not depend on the speed brakes all motion and holds the motor at small inputs",
+        equation: "τ·ω' = K·u − ω − K·F·sign(ω); at rest while |u| ≤ F",
+        coordinate: Coordinate::Rest,
+        forms: &[Form { numbers: &[P::Coulomb], starts: &[&[0.03], &[0.12], &[0.3]], needs: &[] }],
+        next_experiment: AROUND_THE_THRESHOLD,
+        own: false,
+    },
+    Effect {
+        name: "dead-zone",
+        says: "part of every input is lost: below a threshold nothing moves",
+        equation: "u → sign(u)·max(|u| − u₀, 0)",
+        coordinate: Coordinate::Rest,
+        forms: &[Form { numbers: &[P::DeadZone], starts: &[&[0.03], &[0.12], &[0.3]], needs: &[] }],
+        next_experiment: AROUND_THE_THRESHOLD,
+        own: false,
+    },
+    Effect {
+        name: "stribeck-friction",
+        says: "friction is larger at rest than in motion: the motor breaks away with a jump",
+        equation: "at rest while |u| ≤ F + S",
+        coordinate: Coordinate::Rest,
+        forms: &[Form { numbers: &[P::Stiction], starts: &[&[0.03], &[0.12]], needs: &[] }],
+        next_experiment: AROUND_THE_THRESHOLD,
+        own: false,
+    },
+    Effect {
+        name: "direction-asymmetry",
+        says: "the two directions differ",
+        equation: "K·(1 ± g), and F·(1 ± f) or u₀·(1 ± d)",
+        coordinate: Coordinate::Direction,
+        forms: &[
+            Form { numbers: &[P::GainSplit], starts: &[&[0.0]], needs: &[] },
+            Form { numbers: &[P::GainSplit, P::DeadSplit], starts: &[&[0.0, 0.0]], needs: &[P::DeadZone] },
+            Form { numbers: &[P::GainSplit, P::FrictionSplit], starts: &[&[0.0, 0.0]], needs: &[P::Coulomb] },
+        ],
+        next_experiment: OTHER_WAY_ROUND,
+        own: false,
+    },
+    Effect {
+        name: "load-bias",
+        says: "a steady load pulls one way, or the input's zero is off",
+        equation: "u → u − b",
+        coordinate: Coordinate::Direction,
+        forms: &[Form { numbers: &[P::Bias], starts: &[&[0.0]], needs: &[] }],
+        next_experiment: OTHER_WAY_ROUND,
+        own: false,
+    },
+    Effect {
+        name: "high-duty-saturation",
+        says: "the speed bends away from the input at its upper end",
+        equation: "u → u/(1 + b·u), u/(1 + (b·u)^p)^(1/p), or min(u, u₁)",
+        coordinate: Coordinate::Top,
+        forms: &[
+            Form { numbers: &[P::Bend], starts: &[&[0.3], &[2.0], &[6.0]], needs: &[] },
+            Form { numbers: &[P::FlatTop], starts: &[&[0.05], &[0.3]], needs: &[] },
+            Form { numbers: &[P::Bend, P::BendPower], starts: &[&[0.6, 1.5], &[1.5, 1.0]], needs: &[] },
+        ],
+        next_experiment: "log the supply voltage at full input: a sag is in the supply, a saturation is not",
+        own: false,
+    },
+    Effect {
+        name: "dead-time",
+        says: "the motor answers a change of the input only after a time",
+        equation: "u(t) → u(t − T)",
+        coordinate: Coordinate::Time,
+        forms: &[Form { numbers: &[P::DeadTime], starts: &[&[1.0], &[5.0], &[20.0]], needs: &[] }],
+        next_experiment: "apply steps and sample ten times faster: a dead time shows a flat beginning, a second lag a rounded one",
+        own: false,
+    },
+    Effect {
+        name: "second-lag",
+        says: "a second lag rounds off every change (winding, filter, elastic part)",
+        equation: "T₂·x' = u − x",
+        coordinate: Coordinate::Time,
+        forms: &[Form { numbers: &[P::SecondLag], starts: &[&[1.0], &[5.0], &[20.0]], needs: &[] }],
+        next_experiment: "apply steps and sample ten times faster: a dead time shows a flat beginning, a second lag a rounded one",
+        own: true,
+    },
+];
+
+/// Name and unit of a number in the JSON; sizes are shares of the largest input.
+pub fn reported(number: P) -> (&'static str, &'static str) {
+    match number {
+        P::Gain => ("gain_rpm", "rpm"),
+        P::LogLag => ("log_lag", "1"),
+        P::Skew => ("input_early", "samples"),
+        P::DeadTime => ("dead_time_s", "s"),
+        P::SecondLag => ("second_lag_s", "s"),
+        P::Coulomb => ("coulomb", "1"),
+        P::FrictionSplit => ("friction_asymmetry", "1"),
+        P::Stiction => ("stiction", "1"),
+        P::Bias => ("bias", "1"),
+        P::DeadZone => ("threshold", "1"),
+        P::DeadSplit => ("threshold_asymmetry", "1"),
+        P::GainSplit => ("gain_asymmetry", "1"),
+        P::Bend => ("bend", "1"),
+        P::BendPower => ("bend_power_above_1", "1"),
+        P::FlatTop => ("flat_share", "1"),
+    }
+}
+
+/// Whether a number is a time that [`Form::starts`] gives in samples.
+pub fn is_time(number: P) -> bool {
+    matches!(number, P::DeadTime | P::SecondLag)
+}
+
+/// The number that does the same to slow changes.
+pub fn twin(number: P) -> Option<P> {
+    match number {
+        P::Coulomb => Some(P::DeadZone),
+        P::DeadZone => Some(P::Coulomb),
+        P::FrictionSplit => Some(P::DeadSplit),
+        P::DeadSplit => Some(P::FrictionSplit),
+        P::DeadTime => Some(P::SecondLag),
+        P::SecondLag => Some(P::DeadTime),
+        _ => None,
+    }
+}
+
+/// What is believed of a number before the data. Widths span what drives of all sizes do; those of times are the record's.
+pub fn free(number: P, data: &Data) -> Free {
+    let shortest = data.runs.iter().map(|r| r.period_s).fold(f64::INFINITY, f64::min);
+    let longest = data.runs.iter().map(|r| r.seconds()).fold(0.0, f64::max);
+    let around_zero = |sd: f64, bounds: (f64, f64), step: f64| Free { number, centre: 0.0, sd, bounds, step };
+    match number {
+        P::Gain => {
+            let gain = data.usual_rpm;
+            Free { number, centre: 0.0, sd: 100.0 * gain, bounds: (-1e3 * gain, 1e3 * gain), step: 1e-4 * gain }
+        }
+        P::LogLag => Free {
+            number,
+            // Two thirds of ordinary drives lie within 40 and 270 ms. A sweep that passes each input once hardly shows the lag.
+            centre: -2.3,
+            sd: 1.0,
+            bounds: ((shortest / 30.0).ln(), (20.0 * longest).ln()),
+            step: 1e-3,
+        },
+        P::Skew => around_zero(0.5, (-1.5, 1.5), 1e-2),
+        // Longer than the skew by far where it is there at all.
+        P::DeadTime => around_zero(10.0 * shortest, (0.0, 0.3 * longest), 0.02 * shortest),
+        P::SecondLag => around_zero(10.0 * shortest, (0.0, 0.3 * longest), 0.02 * shortest),
+        P::Coulomb => around_zero(0.2, (0.0, 0.95), 1e-4),
+        P::FrictionSplit => around_zero(0.3, (-0.95, 0.95), 1e-3),
+        P::Stiction => around_zero(0.1, (0.0, 0.7), 1e-3),
+        P::Bias => around_zero(0.1, (-0.9, 0.9), 1e-4),
+        P::DeadZone => around_zero(0.2, (0.0, 0.8), 1e-4),
+        P::DeadSplit => around_zero(0.3, (-0.95, 0.95), 1e-3),
+        P::GainSplit => around_zero(0.1, (-0.8, 0.8), 1e-4),
+        P::Bend => around_zero(4.0, (0.0, 60.0), 1e-3),
+        // Iron and amplifiers bend between at once (0) and a corner.
+        P::BendPower => around_zero(1.5, (0.0, 6.0), 1e-2),
+        P::FlatTop => around_zero(0.2, (0.0, 0.8), 1e-3),
+    }
+}

@@ -1,0 +1,280 @@
+//! Sets of effects of an ordinary motor: what is free in them, their refit, and what they weigh.
+
+use super::super::evidence::{FORM_ERROR, Weighed, independent};
+use super::super::level::Level;
+use super::super::set::Course;
+use super::super::verdict::Visited;
+use super::super::weighing::{EFFECT_COST, SAME_COORDINATE};
+use super::data::Data;
+use super::effects::{EFFECTS, Free, free};
+use super::fit::{Noise, Plant, log_prior, misfit, refit};
+use super::plant::{P, Values, simulate_all};
+use super::weigh::{Evidence, Terms, weigh_plant};
+use rayon::prelude::*;
+
+/// Usual spread of the gain from run to run: supplies and warmth of ordinary drives.
+pub const GAIN_SPREAD: f64 = 0.02;
+/// Steps of a look, and of a refit that counts.
+pub const LOOK: usize = 4;
+pub const STEPS: usize = 40;
+/// Times that other valleys are looked for.
+const SCANS: usize = 3;
+/// Size, in deviations of what is believed, below which an effect is none.
+const LEAST_SIZE: f64 = 1e-3;
+/// Fewest independent residuals that a record counts as: a run has a gain, a lag and some thresholds to say something of.
+pub const LEAST_INDEPENDENT: f64 = 40.0;
+/// Rows of a TWUM overlap fourfold; those of an ordinary motor do not.
+const INDEPENDENT_SHARE: f64 = 4.0;
+
+/// An effect in a set and its form.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Part {
+    /// Index in [`EFFECTS`].
+    pub effect: usize,
+    /// Index among its forms.
+    pub form: usize,
+}
+
+/// A set of effects, refitted and weighed.
+#[derive(Debug, Clone)]
+pub struct Set {
+    /// The effects.
+    pub parts: Vec<Part>,
+    /// The plant with them.
+    pub plant: Plant,
+    /// Log evidence with costs and priors.
+    pub score: f64,
+    /// What was found by integrating.
+    pub weighed: Weighed,
+    terms: Vec<(&'static str, f64)>,
+    courses: Vec<Course>,
+    /// Whether others were looked for from it.
+    pub expanded: bool,
+}
+
+impl Set {
+    /// Indices of its effects, sorted.
+    pub fn key(&self) -> Vec<usize> {
+        key(&self.parts)
+    }
+
+    /// What the verdict has to know of it.
+    pub fn visited(&self) -> Visited {
+        Visited {
+            key: self.key(),
+            score: self.score,
+            left: self.weighed.left,
+            taus: self.weighed.taus,
+            terms: self.terms.clone(),
+            courses: self.courses.clone(),
+        }
+    }
+}
+
+pub fn key(parts: &[Part]) -> Vec<usize> {
+    let mut k: Vec<usize> = parts.iter().map(|p| p.effect).collect();
+    k.sort_unstable();
+    k
+}
+
+/// What a search works on.
+pub struct Ground<'a> {
+    /// The runs.
+    pub data: &'a Data,
+    /// Indices of the effects that these runs can show.
+    pub usable: Vec<usize>,
+    /// What the gains of the runs scatter by.
+    pub level: Level,
+    terms: Terms,
+    /// How many independent residuals the runs count as.
+    pub independent: f64,
+    /// Largest squared error that counts as one of the forms, in rpm²: no form is further off than all of what is left.
+    pub form_error: f64,
+}
+
+impl<'a> Ground<'a> {
+    /// Of some runs.
+    pub fn new(data: &'a Data, usable: Vec<usize>) -> Self {
+        let independent = independent(INDEPENDENT_SHARE * data.rows() as f64, data.runs.len());
+        Self {
+            data,
+            usable,
+            level: Level::by_chance(data.runs.len(), GAIN_SPREAD),
+            terms: Terms::new(data),
+            independent,
+            form_error: f64::INFINITY,
+        }
+    }
+
+    /// What is free in a set, the gain first.
+    pub fn free(&self, parts: &[Part]) -> Vec<Free> {
+        self.free_with(parts, &[])
+    }
+
+    /// The same with others beside.
+    pub fn free_with(&self, parts: &[Part], others: &[P]) -> Vec<Free> {
+        let numbers = parts.iter().flat_map(|p| EFFECTS[p.effect].forms[p.form].numbers).chain(others);
+        [P::Gain, P::LogLag, P::Skew].iter().chain(numbers).map(|p| free(*p, self.data)).collect()
+    }
+
+    /// What residuals scatter around a plant.
+    pub fn noise(&self, plant: &Plant) -> Noise {
+        let raw = Noise { variance: 1.0, gain_spread: 0.0 };
+        let variance = misfit(self.data, plant, &[], raw, &[]) / self.independent;
+        Noise { variance: variance.max(1e-12), gain_spread: GAIN_SPREAD }
+    }
+
+    /// Refitted to the end, until the noise by which the priors are weighed is that of the fit itself.
+    pub fn refitted(&self, mut plant: Plant, parts: &[Part]) -> Plant {
+        for _ in 0..4 {
+            let before = self.noise(&plant).variance;
+            plant = self.refitted_once(plant, parts);
+            if self.noise(&plant).variance > 0.8 * before {
+                break;
+            }
+        }
+        plant
+    }
+
+    /// Inputs come in steps, so that a threshold moves the break-away in jumps and derivatives see one valley of
+    /// many: others are tried about it.
+    fn refitted_once(&self, plant: Plant, parts: &[Part]) -> Plant {
+        let noise = self.noise(&plant);
+        let free = self.free(parts);
+        let value = |p: &Plant| misfit(self.data, p, &free, noise, &[]);
+        let mut best = refit(self.data, plant, &free, noise, &[], STEPS);
+        for _ in 0..SCANS {
+            let mut tried: Vec<(f64, Plant)> = free
+                .iter()
+                .flat_map(|f| neighbours(f.number).iter().map(|by| (f.number, *by)))
+                .collect::<Vec<_>>()
+                .into_par_iter()
+                .map(|(number, factor)| {
+                    let mut plant = best.clone();
+                    plant.values.set(number, factor * plant.values.get(number));
+                    let plant = self.with_gain(plant);
+                    (value(&plant), plant)
+                })
+                .collect();
+            tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let near: Vec<Plant> =
+                tried.into_par_iter().take(2).map(|t| refit(self.data, t.1, &free, noise, &[], LOOK)).collect();
+            let Some(other) = near.into_iter().min_by(|a, b| value(a).total_cmp(&value(b))) else { break };
+            if value(&other) > 0.999 * value(&best) {
+                break;
+            }
+            best = refit(self.data, other, &free, noise, &[], STEPS);
+        }
+        best
+    }
+
+    /// The gain that suits the other numbers best: speeds go with it as a whole.
+    pub fn with_gain(&self, mut plant: Plant) -> Plant {
+        let motions = simulate_all(self.data, &plant.values, &plant.starts);
+        let (mut yp, mut pp) = (0.0, 0.0);
+        for (run, m) in self.data.runs.iter().zip(&motions) {
+            for (y, p) in run.rpm.iter().zip(&m.rpm) {
+                yp += y * p;
+                pp += p * p;
+            }
+        }
+        if pp > 0.0 && yp != 0.0 {
+            plant.values.set(P::Gain, plant.values.get(P::Gain) * yp / pp);
+        }
+        plant
+    }
+
+    /// The line with a lag that does best, from lags of a fraction of a sample to the whole record.
+    pub fn root(&self) -> Set {
+        let shortest = self.data.runs.iter().map(|r| r.period_s).fold(f64::INFINITY, f64::min);
+        let longest = self.data.runs.iter().map(|r| r.seconds()).fold(0.0, f64::max);
+        let starts: Vec<f64> = self.data.runs.iter().map(|r| r.rpm[0]).collect();
+        let lag = |k: usize| 0.3 * shortest * (longest / shortest).powf(k as f64 / 9.0);
+        let value = |p: &Plant| misfit(self.data, p, &[], Noise { variance: 1.0, gain_spread: 0.0 }, &[]);
+        let mut lines: Vec<(f64, Plant)> = (0..20)
+            .into_par_iter()
+            .map(|k| {
+                let skew = if k % 2 == 0 { 0.0 } else { -1.0 };
+                let values = Values::line(self.data.usual_rpm, lag(k / 2)).with(P::Skew, skew);
+                let plant = self.with_gain(Plant { values, starts: starts.clone() });
+                (value(&plant), plant)
+            })
+            .collect();
+        lines.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let near = lines.into_iter().take(3).map(|l| self.refitted(l.1, &[]));
+        let best = near.min_by(|a, b| value(a).total_cmp(&value(b))).expect("three lines were tried");
+        self.weigh_set(Vec::new(), best, None)
+    }
+
+    pub fn weigh_set(&self, parts: Vec<Part>, plant: Plant, root: Option<&Set>) -> Set {
+        let free = self.free(&parts);
+        let without = root.map(|r| r.weighed.left.min(self.form_error / FORM_ERROR));
+        let Evidence { weighed, log, terms, courses } =
+            weigh_plant(self.data, &self.terms, &self.level, self.independent, &plant, &free, without);
+        let prior = log_prior(&plant.values, &free[1..]);
+        let ways: f64 = parts.iter().map(|p| (EFFECTS[p.effect].forms.len() as f64).ln()).sum();
+        let coordinates: std::collections::BTreeSet<_> = parts.iter().map(|p| EFFECTS[p.effect].coordinate).collect();
+        let shared = (parts.len() - coordinates.len()) as f64;
+        // An effect of no size is none, and what the equations make of its other sign is not there.
+        let sizeless = |p: &Part| {
+            let size = free.iter().find(|f| f.number == EFFECTS[p.effect].forms[p.form].numbers[0]);
+            size.is_some_and(|f| f.bounds.0 == 0.0 && plant.values.get(f.number) < LEAST_SIZE * f.sd)
+        };
+        let log = if parts.iter().any(sizeless) { f64::NEG_INFINITY } else { log };
+        let score = log + prior - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
+        Set { parts, plant, score, weighed, terms, courses, expanded: false }
+    }
+
+    /// Whether a form can act beside a set: its numbers are about something that is there.
+    pub fn makes_sense(&self, part: Part, beside: &[Part]) -> bool {
+        let numbers = |p: &Part| EFFECTS[p.effect].forms[p.form].numbers;
+        EFFECTS[part.effect].forms[part.form].needs.iter().all(|n| beside.iter().any(|p| numbers(p).contains(n)))
+    }
+
+    /// The set without its effect `k`: visited, or refitted.
+    pub fn without(&self, set: &Set, k: usize, pool: &[Set]) -> Set {
+        let mut parts = set.parts.clone();
+        let gone = parts.remove(k);
+        if let Some(known) = pool.iter().find(|s| s.key() == key(&parts)) {
+            return known.clone();
+        }
+        let mut plant = set.plant.clone();
+        for p in EFFECTS[gone.effect].forms[gone.form].numbers {
+            plant.values.set(*p, 0.0);
+        }
+        // What was about the effect that is gone goes with it: the other form of an asymmetry.
+        for i in 0..parts.len() {
+            if !self.makes_sense(parts[i], &parts) {
+                for p in EFFECTS[parts[i].effect].forms[parts[i].form].numbers {
+                    plant.values.set(*p, 0.0);
+                }
+                parts[i].form = 0;
+            }
+        }
+        let plant = self.refitted(plant, &parts);
+        self.weigh_set(parts, plant, pool.iter().find(|s| s.parts.is_empty()))
+    }
+}
+
+/// Factors by which a number is moved in search of another valley: thresholds jump from one step of the input to the next, a strong bend
+/// goes with another gain.
+fn neighbours(number: P) -> &'static [f64] {
+    match number {
+        P::Coulomb | P::DeadZone | P::Stiction => &[0.7, 0.85, 0.94, 0.98, 1.02, 1.06, 1.15, 1.3],
+        P::Bend => &[0.4, 1.6, 3.0],
+        _ => &[],
+    }
+}
+
+/// How many samples what a plant misses lasts: (1 + ρ)/(1 − ρ) of neighbours that are correlated by ρ.
+pub fn memory(data: &Data, plant: &Plant) -> f64 {
+    let motions = simulate_all(data, &plant.values, &plant.starts);
+    let (mut own, mut next) = (1e-300, 0.0);
+    for (run, m) in data.runs.iter().zip(&motions) {
+        let rest: Vec<f64> = run.rpm.iter().zip(&m.rpm).map(|(y, p)| y - p).collect();
+        own += rest.iter().map(|r| r * r).sum::<f64>();
+        next += rest.windows(2).map(|w| w[0] * w[1]).sum::<f64>();
+    }
+    let rho = (next / own).clamp(0.0, 0.999);
+    (1.0 + rho) / (1.0 - rho)
+}
