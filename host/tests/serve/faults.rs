@@ -98,9 +98,15 @@ fn two_servers_on_one_port_do_not_share_it_and_the_second_says_so() {
     assert!(!output.status.success() && text(&output).contains("name another with --listen"), "{}", text(&output));
 }
 
+/// Fails when a run goes on with the board that is plugged in again, or the motor is given back with it.
 #[test]
 fn a_board_that_goes_away_is_told_of_and_nothing_resumes_when_it_is_back() {
-    let (simulator, served) = board();
+    let cable = tempfile::tempdir().unwrap();
+    let port = cable.path().join("port");
+    let simulator = Simulator::start();
+    std::os::unix::fs::symlink(&simulator.port, &port).unwrap();
+    let served = Served::start(port.to_str().unwrap(), "127.0.0.1:0", "");
+    served.until("the board answers", |state| state["connected"] == true);
     let page = Page::open(&served);
     page.take();
     let name = page.tracking();
@@ -112,6 +118,17 @@ fn a_board_that_goes_away_is_told_of_and_nothing_resumes_when_it_is_back() {
     let state = served.until("it is told of", |state| state["connected"] == false && state["doing"].is_null());
     assert!(state["trouble"].as_str().unwrap().len() > 10, "{state}");
     assert!(frames(&served.runs().join(name)) > 10);
+
+    let again = Simulator::start();
+    std::fs::remove_file(&port).unwrap();
+    std::os::unix::fs::symlink(&again.port, &port).unwrap();
+    served.until("the board answers again", |state| state["connected"] == true);
+    std::thread::sleep(Duration::from_millis(500));
+    let state = served.state();
+    assert!(state["is_off"] == true && state["doing"].is_null() && state["fault"].is_null(), "{state}");
+    page.take();
+    page.tracking();
+    served.stop();
 }
 
 #[test]
