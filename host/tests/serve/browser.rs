@@ -227,7 +227,16 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     let path = served.runs().join(format!("{}.mcap", last.as_str().unwrap()));
     assert_eq!(Recording::load(&path).unwrap().runs[0].configuration.unwrap().control.kp, 50.5);
 
-    // The run in full, two over each other, and a reload that takes nothing back.
+    looks_at_runs_and_the_model(&mut browser);
+    served.has_example("bench3");
+    diagnoses_the_example(&mut browser);
+    browser.call("Page.reload", json!({}));
+    browser.until("['nobody', 'another'].includes(document.body?.dataset.holder)");
+    assert_eq!(browser.console, Vec::<String>::new());
+}
+
+/// The run in full, two over each other; the model moves with its sliders.
+fn looks_at_runs_and_the_model(browser: &mut Browser) {
     browser.script("location.hash = '#runs'; 0");
     browser.until("document.querySelectorAll('#page-runs tbody tr').length === 3");
     browser.looks("runs");
@@ -243,8 +252,10 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     browser.looks("model");
     browser.script("(i => { i.value = 0; i.dispatchEvent(new Event('input')); })(document.querySelector('input[aria-label=Vrms]')); 0");
     browser.until("document.querySelector('#predicted').dataset.turn > 1");
-    // A shipped folder is diagnosed to the cause that is hidden in it; the report stands in a frame that reaches nothing else.
-    served.has_example("bench3");
+}
+
+/// A shipped folder is diagnosed to the cause that is hidden in it; the report stands in a frame that reaches nothing else.
+fn diagnoses_the_example(browser: &mut Browser) {
     browser.script("location.hash = '#diagnosis'; 0");
     browser.until("document.querySelector('#page-diagnosis option[value=bench3]')");
     browser.script("document.querySelector('#page-diagnosis option[value=bench3]').selected = true; 0");
@@ -263,7 +274,4 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     browser.click("#page-diagnosis iframe");
     browser.key("Escape", 27);
     browser.until(OFF);
-    browser.call("Page.reload", json!({}));
-    browser.until("['nobody', 'another'].includes(document.body?.dataset.holder)");
-    assert_eq!(browser.console, Vec::<String>::new());
 }

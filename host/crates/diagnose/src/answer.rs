@@ -289,7 +289,6 @@ pub fn text(d: &Diagnosis) -> String {
     let mut line = |s: String| {
         let _ = writeln!(out, "{s}");
     };
-    let suspects: Vec<&EffectAnswer> = d.effects.iter().filter(|e| e.status != "rejected").collect();
     line(match d.verdict {
         Verdict::Named => format!("NAMED: {}", d.named().join(", ")),
         Verdict::Ambiguous => format!("AMBIGUOUS: one of {}", d.candidates().join(", ")),
@@ -307,44 +306,9 @@ pub fn text(d: &Diagnosis) -> String {
     if let Some(r2) = d.baseline.scores.r2_speed {
         line(format!("                r² of the run mean speeds: {r2:.4}."));
     }
-    for e in &suspects {
+    for e in d.effects.iter().filter(|e| e.status != "rejected") {
         line(String::new());
-        let (sentence, equation) = super::library::says(&e.name).unwrap_or(("", ""));
-        line(format!(
-            "{}   {} — {sentence}.",
-            if e.status == "named" { "Cause        " } else { "Possible cause" },
-            e.name
-        ));
-        line(format!("  model gains   {equation}"));
-        for (name, p) in &e.parameters {
-            line(format!(
-                "                {name} = {} {}  (95 %: {} to {})",
-                short(p.value),
-                unit(&p.unit),
-                short(p.ci95[0]),
-                short(p.ci95[1])
-            ));
-        }
-        line(format!(
-            "  how sure      it removes {:.0} % of the error on runs it was not fitted to (95 %: {:.0} to {:.0} %); chance, \
-             with the whole search repeated, does as well with p = {:.3}.",
-            100.0 * e.gain_heldout,
-            100.0 * e.gain_ci95[0],
-            100.0 * e.gain_ci95[1],
-            e.p_null
-        ));
-        if e.share > 0.0 {
-            line(format!("  its share     {:.0} % of the baseline's squared error.", 100.0 * e.share));
-        }
-        if e.conflicts_with.is_empty() {
-            line("  mistaken for  no other effect of the library does as well.".to_owned());
-        } else {
-            line(format!("  mistaken for  {}", e.conflicts_with.join(", ")));
-            line(format!("  what decides  {}", e.next_experiment));
-        }
-        if !e.note.is_empty() {
-            line(format!("  note          {}", e.note));
-        }
+        line(suspect(e));
     }
     line(String::new());
     if let (Some(a), Some(u)) = (d.extended.rmse_speed_rpm, d.unexplained_fraction) {
@@ -376,6 +340,43 @@ pub fn text(d: &Diagnosis) -> String {
         line(format!("Note: {note}"));
     }
     out
+}
+
+/// What is said of a cause, or of a possible one.
+fn suspect(e: &EffectAnswer) -> String {
+    let (sentence, equation) = super::library::says(&e.name).unwrap_or(("", ""));
+    let heading = if e.status == "named" { "Cause        " } else { "Possible cause" };
+    let mut lines = vec![format!("{heading}   {} — {sentence}.", e.name), format!("  model gains   {equation}")];
+    for (name, p) in &e.parameters {
+        lines.push(format!(
+            "                {name} = {} {}  (95 %: {} to {})",
+            short(p.value),
+            unit(&p.unit),
+            short(p.ci95[0]),
+            short(p.ci95[1])
+        ));
+    }
+    lines.push(format!(
+        "  how sure      it removes {:.0} % of the error on runs it was not fitted to (95 %: {:.0} to {:.0} %); chance, \
+         with the whole search repeated, does as well with p = {:.3}.",
+        100.0 * e.gain_heldout,
+        100.0 * e.gain_ci95[0],
+        100.0 * e.gain_ci95[1],
+        e.p_null
+    ));
+    if e.share > 0.0 {
+        lines.push(format!("  its share     {:.0} % of the baseline's squared error.", 100.0 * e.share));
+    }
+    if e.conflicts_with.is_empty() {
+        lines.push("  mistaken for  no other effect of the library does as well.".to_owned());
+    } else {
+        lines.push(format!("  mistaken for  {}", e.conflicts_with.join(", ")));
+        lines.push(format!("  what decides  {}", e.next_experiment));
+    }
+    if !e.note.is_empty() {
+        lines.push(format!("  note          {}", e.note));
+    }
+    lines.join("\n")
 }
 
 fn unit(u: &str) -> &str {

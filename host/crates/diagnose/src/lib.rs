@@ -161,21 +161,8 @@ pub fn diagnose(
             runs.len()
         ));
     }
-    if runs.is_empty() {
-        notes.push("no run can be used".to_owned());
-        return Ok((Diagnosis::impossible(notes, options.seed), None));
-    }
-    if runs.iter().all(|r| r.revolutions() < 0.02) {
-        notes.push(
-            "no run shows motion: less than 0.02 turns in any of them. Whether the motor, the drive or the encoder is silent \
-             cannot be told from here; look at the encoder line with the motor turned by hand"
-                .to_owned(),
-        );
-        return Ok((Diagnosis::impossible(notes, options.seed), None));
-    }
-    let edges: usize = runs.iter().map(|r| r.windows.len()).sum();
-    if edges < 30 {
-        notes.push(format!("only {edges} edge intervals in all: too little to tell an effect from sampling noise; make runs of several seconds"));
+    if let Some(why) = unusable(&runs) {
+        notes.push(why);
         return Ok((Diagnosis::impossible(notes, options.seed), None));
     }
     let start = starting_rotor(&runs, options);
@@ -210,6 +197,24 @@ pub fn diagnose(
     }
     let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
     Ok((diagnosis, Some(Details::Runs { problem: outcome.problem.clone(), outcome: Box::new(outcome) })))
+}
+
+/// Why these runs say nothing of a motor.
+fn unusable(runs: &[Observed]) -> Option<String> {
+    if runs.is_empty() {
+        return Some("no run can be used".to_owned());
+    }
+    if runs.iter().all(|r| r.revolutions() < 0.02) {
+        return Some(
+            "no run shows motion: less than 0.02 turns in any of them. Whether the motor, the drive or the encoder is silent \
+             cannot be told from here; look at the encoder line with the motor turned by hand"
+                .to_owned(),
+        );
+    }
+    let edges: usize = runs.iter().map(|r| r.windows.len()).sum();
+    (edges < 30).then(|| {
+        format!("only {edges} edge intervals in all: too little to tell an effect from sampling noise; make runs of several seconds")
+    })
 }
 
 /// A rotor to start the refit from: the motor's friction, the free speed the data show.

@@ -189,14 +189,7 @@ pub fn weigh_plant(
             })
             .collect();
         if round == 0 {
-            let all = weighed.left + equations.floor();
-            let own = looks.iter().filter(|l| terms.0[l.0].own);
-            let course = |l: &(usize, f64, f64)| {
-                let taken = weighed.left - l.2;
-                Course { lives_in: terms.0[l.0].lives_in, taken, share: taken / all.max(1e-12) }
-            };
-            courses = own.map(course).collect();
-            courses.sort_by(|a: &Course, b| b.share.total_cmp(&a.share));
+            courses = courses_of(terms, &looks, weighed.left, equations.floor());
         }
         let cost = |t: &usize| terms.0[*t].cost;
         let paid: f64 = chosen.iter().map(cost).sum();
@@ -207,6 +200,18 @@ pub fn weigh_plant(
         left.push((terms.0[t].lives_in, rest));
     }
     Evidence { weighed, log, terms: left, courses }
+}
+
+/// What terms of the runs' own would take of the squared error `left` and the floor, the strongest first. A look is a term with the log
+/// evidence that it leads to and the squared error that it leaves.
+fn courses_of(terms: &Terms, looks: &[(usize, f64, f64)], left: f64, floor: f64) -> Vec<Course> {
+    let of = |&(t, _, rest): &(usize, f64, f64)| {
+        let taken = left - rest;
+        Course { lives_in: terms.0[t].lives_in, taken, share: taken / (left + floor).max(1e-12) }
+    };
+    let mut courses: Vec<Course> = looks.iter().filter(|look| terms.0[look.0].own).map(of).collect();
+    courses.sort_by(|a, b| b.share.total_cmp(&a.share));
+    courses
 }
 
 /// Normal equations of every run over the predicted speed, what is free beside it, and the terms.
