@@ -24,11 +24,11 @@ pub enum Column {
     },
     /// The delay of the record behind the drive, by a hundredth of a second, in hat `k` of `n` over time.
     Lag(usize, usize),
-    /// A coefficient of [`RunTerms::runout`].
+    /// A coefficient of [`super::rotor::RunTerms::runout`].
     Runout(usize),
-    /// A coefficient of [`RunTerms::eccentricity`].
+    /// A coefficient of [`super::rotor::RunTerms::eccentricity`].
     Eccentricity(usize),
-    /// A coefficient of [`RunTerms::gravity`].
+    /// A coefficient of [`super::rotor::RunTerms::gravity`].
     Gravity(usize),
     /// A phased coefficient with parameters first set as listed (shape of the effect).
     Shaped(Box<Column>, Vec<(P, f64)>),
