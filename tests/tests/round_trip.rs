@@ -440,6 +440,7 @@ fn naming(name: &str) -> Diagnosis {
         probability: Some(0.99),
         share: 0.5,
         note: String::new(),
+        says: ("", ""),
     });
     d
 }

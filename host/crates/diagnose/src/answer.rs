@@ -2,6 +2,7 @@
 
 use super::conclusion::Outcome;
 use super::finding::{Estimate, Finding, Status, Unknown};
+use super::library::says;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -90,6 +91,9 @@ pub struct EffectAnswer {
     pub share: f64,
     /// Remarks.
     pub note: String,
+    /// The sentence and the equation of the library that it is of.
+    #[serde(skip)]
+    pub says: (&'static str, &'static str),
 }
 
 /// What remains without a cause.
@@ -176,7 +180,7 @@ impl Diagnosis {
                 },
                 noise_floor: floor,
             },
-            effects: findings.iter().map(effect_answer).collect(),
+            effects: findings.iter().map(|f| effect_answer(f, says(&f.name))).collect(),
             extended: Scores {
                 r2_speed: outcome.r2[1],
                 rmse_speed_rpm: Some(extended),
@@ -196,42 +200,6 @@ impl Diagnosis {
             notes,
             seed,
         }
-    }
-
-    /// The answer for an ordinary motor.
-    pub fn of_inertial(
-        outcome: &super::inertial::InertialOutcome,
-        replicated: bool,
-        notes: Vec<String>,
-        seed: u64,
-    ) -> Self {
-        let any = |s: Status| outcome.findings.iter().any(|f| f.status == s);
-        let (base, extended, floor) = (outcome.held_out.rmse(0), outcome.held_out.rmse(1), outcome.noise_floor);
-        let mut d = Self::impossible(notes, seed);
-        d.verdict = if any(Status::Named) {
-            Verdict::Named
-        } else if any(Status::Ambiguous) {
-            Verdict::Ambiguous
-        } else if !outcome.unknown.is_empty() {
-            Verdict::Unknown
-        } else {
-            Verdict::None
-        };
-        d.replicated = replicated;
-        d.baseline = BaselineScores {
-            scores: Scores { r2_speed: None, rmse_speed_rpm: Some(base), rmse_position_deg: None },
-            noise_floor: floor,
-        };
-        d.extended.rmse_speed_rpm = Some(extended);
-        d.effects = outcome.findings.iter().map(effect_answer).collect();
-        d.unexplained_fraction = Some(((extended * extended - floor * floor) / (base * base)).clamp(0.0, 1.0));
-        d.unknown = outcome
-            .unknown
-            .iter()
-            .map(|u| UnknownAnswer { lives_in: u.lives_in.to_owned(), gain_heldout: u.gain, p_null: u.p_null })
-            .collect();
-        d.not_judged = outcome.not_judged.iter().cloned().collect();
-        d
     }
 
     /// Effects that are suspected, and those that look like them.
@@ -257,7 +225,8 @@ impl Diagnosis {
     }
 }
 
-pub(super) fn effect_answer(f: &Finding) -> EffectAnswer {
+/// A finding as it is answered, with what the library that it is of says of it.
+pub(super) fn effect_answer(f: &Finding, says: Option<(&'static str, &'static str)>) -> EffectAnswer {
     EffectAnswer {
         name: f.name.clone(),
         status: match f.status {
@@ -280,6 +249,7 @@ pub(super) fn effect_answer(f: &Finding) -> EffectAnswer {
         probability: f.probability,
         share: f.share,
         note: f.note.clone(),
+        says: says.unwrap_or_default(),
     }
 }
 
@@ -344,7 +314,7 @@ pub fn text(d: &Diagnosis) -> String {
 
 /// What is said of a cause, or of a possible one.
 fn suspect(e: &EffectAnswer) -> String {
-    let (sentence, equation) = super::library::says(&e.name).unwrap_or(("", ""));
+    let (sentence, equation) = e.says;
     let heading = if e.status == "named" { "Cause        " } else { "Possible cause" };
     let mut lines = vec![format!("{heading}   {} — {sentence}.", e.name), format!("  model gains   {equation}")];
     for (name, p) in &e.parameters {

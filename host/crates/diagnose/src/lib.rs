@@ -199,6 +199,14 @@ pub fn diagnose(
     Ok((diagnosis, Some(Details::Runs { problem: outcome.problem.clone(), outcome: Box::new(outcome) })))
 }
 
+/// Names of all effects that can be found, of TWUMs and of ordinary motors.
+pub fn known_effects() -> Vec<&'static str> {
+    let mut names = library::known_effects();
+    let ordinary: Vec<&str> = inertial::EFFECTS.iter().map(|e| e.name).filter(|n| !names.contains(n)).collect();
+    names.extend(ordinary);
+    names
+}
+
 /// Why these runs say nothing of a motor.
 fn unusable(runs: &[Observed]) -> Option<String> {
     if runs.is_empty() {

@@ -366,7 +366,7 @@ mod tests {
             found("dropped-samples", vec![]),
         ]
         .iter()
-        .map(super::super::answer::effect_answer)
+        .map(|f| super::super::answer::effect_answer(f, None))
         .collect();
         let problem = Problem::new(Vec::new());
         let text = file(&motor, flavour, &problem.model(rotor), &problem, &diagnosis).expect("it can be written");

@@ -5,7 +5,7 @@ use super::library::Phased;
 use super::problem::Model;
 use super::refit::{Free, put_coefficients};
 use super::rotor::{P, Parameters};
-use super::verdict::Visited;
+use super::verdict::{Course, Visited};
 
 /// One effect in a set.
 #[derive(Debug, Clone)]
@@ -18,17 +18,6 @@ pub struct Part {
     pub free: Vec<Free>,
     /// Its phased pairs.
     pub phased: Vec<Phased>,
-}
-
-/// What a course of each run's own would take beside a set.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Course {
-    /// The term's coordinate, in words.
-    pub lives_in: &'static str,
-    /// Squared error that it would take beyond chance, in rpm²·s.
-    pub taken: f64,
-    /// The same as a share of what there is within runs.
-    pub share: f64,
 }
 
 /// A set of effects, refitted and weighed.

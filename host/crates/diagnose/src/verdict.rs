@@ -4,7 +4,6 @@
 //! [`super::level`], [`super::search`] and the priors of the library.
 
 use super::level::{NAMES, Taus};
-use super::set::Course;
 
 /// Least probability of a name: one wrong in twenty is what a person can live with.
 pub const NAMED: f64 = 0.95;
@@ -47,6 +46,17 @@ pub struct Visited {
     pub terms: Vec<(&'static str, f64)>,
     /// Share of the squared error left that a course of each run's own would take, by the term's name.
     pub courses: Vec<Course>,
+}
+
+/// What a course of each run's own would take beside a set.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Course {
+    /// The term's coordinate, in words.
+    pub lives_in: &'static str,
+    /// Squared error that it would take beyond chance, in rpm²·s.
+    pub taken: f64,
+    /// The same as a share of what there is within runs.
+    pub share: f64,
 }
 
 /// What may be said.

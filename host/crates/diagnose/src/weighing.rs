@@ -10,7 +10,8 @@ use super::library::Phased;
 use super::observe::Observed;
 use super::problem::Model;
 use super::refit::coefficients;
-use super::set::{Course, Part, Set};
+use super::set::{Part, Set};
+use super::verdict::Course;
 use rayon::prelude::*;
 use std::ops::Range;
 

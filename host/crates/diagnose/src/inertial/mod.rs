@@ -30,14 +30,43 @@ pub use plant::{P, Values};
 pub use report::{MotorReport, Number};
 
 use super::Options;
-use super::answer::Diagnosis;
-use super::finding::Estimate;
+use super::answer::{Diagnosis, UnknownAnswer, Verdict, effect_answer};
+use super::finding::{Estimate, Status};
 use sets::Ground;
 use twum_record::measurement::Run;
 
 /// The sentence and the equation of an effect of an ordinary motor.
-pub fn says(name: &str) -> Option<(&'static str, &'static str)> {
+fn says(name: &str) -> Option<(&'static str, &'static str)> {
     EFFECTS.iter().find(|e| e.name == name).map(|e| (e.says, e.equation))
+}
+
+/// The answer that other programs read.
+fn answer_of(outcome: &InertialOutcome, replicated: bool, notes: Vec<String>, seed: u64) -> Diagnosis {
+    let any = |s: Status| outcome.findings.iter().any(|f| f.status == s);
+    let (base, extended, floor) = (outcome.held_out.rmse(0), outcome.held_out.rmse(1), outcome.noise_floor);
+    let mut d = Diagnosis::impossible(notes, seed);
+    d.verdict = if any(Status::Named) {
+        Verdict::Named
+    } else if any(Status::Ambiguous) {
+        Verdict::Ambiguous
+    } else if !outcome.unknown.is_empty() {
+        Verdict::Unknown
+    } else {
+        Verdict::None
+    };
+    d.replicated = replicated;
+    d.baseline.scores.rmse_speed_rpm = Some(base);
+    d.baseline.noise_floor = floor;
+    d.extended.rmse_speed_rpm = Some(extended);
+    d.effects = outcome.findings.iter().map(|f| effect_answer(f, says(&f.name))).collect();
+    d.unexplained_fraction = Some(((extended * extended - floor * floor) / (base * base)).clamp(0.0, 1.0));
+    d.unknown = outcome
+        .unknown
+        .iter()
+        .map(|u| UnknownAnswer { lives_in: u.lives_in.to_owned(), gain_heldout: u.gain, p_null: u.p_null })
+        .collect();
+    d.not_judged = outcome.not_judged.iter().cloned().collect();
+    d
 }
 
 /// Why an effect cannot be judged from these runs, if it cannot.
@@ -114,7 +143,7 @@ pub fn diagnose_drives(
         let largest = data.largest_input;
         notes.push(format!("the motor itself (inputs relative to the largest, {largest}): {}", numbers.join("; ")));
     }
-    let diagnosis = Diagnosis::of_inertial(&outcome, data.runs.len() > 1 && !apart, notes, options.seed);
+    let diagnosis = answer_of(&outcome, data.runs.len() > 1 && !apart, notes, options.seed);
     (diagnosis, Some(outcome))
 }
 

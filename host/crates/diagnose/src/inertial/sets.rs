@@ -2,7 +2,7 @@
 
 use super::super::evidence::{FORM_ERROR, Weighed, independent};
 use super::super::level::Level;
-use super::super::set::Course;
+use super::super::verdict::Course;
 use super::super::verdict::Visited;
 use super::super::weighing::{EFFECT_COST, SAME_COORDINATE};
 use super::data::Data;

@@ -3,7 +3,7 @@
 use super::super::discrepancy::SIZE;
 use super::super::evidence::{Equations, Normal, Question, Spreads, Start, Weighed, weigh};
 use super::super::level::Level;
-use super::super::set::Course;
+use super::super::verdict::Course;
 use super::super::weighing::{FREE_FORM_COST, TERM_COST};
 use super::data::{Data, DriveRun};
 use super::effects::Free;

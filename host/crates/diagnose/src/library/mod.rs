@@ -227,22 +227,16 @@ const BEFORE_THE_PLANT: [(&str, &str, &str); 3] = [
     ),
 ];
 
-/// Names of all effects that can be found.
+/// Names of all effects of a TWUM that can be found.
 pub fn known_effects() -> Vec<&'static str> {
-    let mut names: Vec<&str> = BEFORE_THE_PLANT.iter().map(|e| e.0).collect();
-    names.extend(library(1.0, &[]).iter().map(|e| e.name));
-    let ordinary = super::inertial::EFFECTS.iter().map(|e| e.name).filter(|n| !names.contains(n));
-    let ordinary: Vec<&str> = ordinary.collect();
-    names.extend(ordinary);
-    names
+    let early = BEFORE_THE_PLANT.iter().map(|e| e.0);
+    early.chain(library(1.0, &[]).iter().map(|e| e.name)).collect()
 }
 
 /// The sentence and the equation of an effect.
 pub fn says(name: &str) -> Option<(&'static str, &'static str)> {
     let early = BEFORE_THE_PLANT.iter().find(|e| e.0 == name).map(|e| (e.1, e.2));
-    early
-        .or_else(|| library(1.0, &[]).iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
-        .or_else(|| super::inertial::says(name))
+    early.or_else(|| library(1.0, &[]).iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
 }
 
 /// The whole library. The rotor's acceleration under drive in rad/s² sets the scale of the searches over friction; `clock_errors` are the
