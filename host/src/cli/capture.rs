@@ -1,11 +1,12 @@
 //! `twum capture`.
 
-use super::connect::{ConnectArgs, RecordArgs, duration_ms};
+use super::connect::{ConnectArgs, RecordArgs};
 use super::output::stage;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use std::time::Duration;
 use twum_host::link::bench::{Action, Experiment};
+use twum_host::record::series::duration_ms;
 use twum_shared::message::CaptureMode;
 
 /// Arguments of `twum capture`.

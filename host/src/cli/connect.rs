@@ -4,7 +4,7 @@ use super::configuration::ConfigurationArgs;
 use super::motor::MotorArgs;
 use super::signals::on_signal;
 use super::{defaults, exit};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -258,15 +258,6 @@ impl RecordArgs {
             eprintln!("error: frames were lost; the recording marks where (--allow-loss to accept)");
         }
         verdict.map(ExitCode::from)
-    }
-}
-
-/// A duration in seconds, between 1 ms and an hour, as ms.
-pub fn duration_ms(seconds: f64) -> Result<u32> {
-    if (0.001..=3600.0).contains(&seconds) {
-        Ok((seconds * 1e3).round() as u32)
-    } else {
-        bail!("{seconds} s is outside 0.001 to 3600 s")
     }
 }
 

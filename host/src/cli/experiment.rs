@@ -1,7 +1,7 @@
 //! `twum experiment`.
 
 use super::configuration::ConfigurationArgs;
-use super::connect::{ALL_STREAMS, ConnectArgs, duration_ms, own_configuration, restore};
+use super::connect::{ALL_STREAMS, ConnectArgs, own_configuration, restore};
 use super::diagnose::{motor_of, runs_of};
 use super::output::{answer, stage};
 use super::{exit, units};
@@ -17,10 +17,9 @@ use twum_host::link::LinkError;
 use twum_host::link::bench::{Action, Experiment, perform};
 use twum_host::link::{Port, Session};
 use twum_host::model::parameters::Flavour;
-use twum_host::record::series::{Series, SeriesError, SeriesRun};
-use twum_shared::message::{Configuration, SpeedRun};
+use twum_host::record::series::{Series, SeriesError, SeriesRun, duration_ms};
+use twum_shared::message::Configuration;
 use twum_shared::step::ConfigSpec;
-use twum_shared::{Direction, Duty};
 
 /// Arguments of `twum experiment`.
 #[derive(Debug, clap::Args)]
@@ -293,7 +292,7 @@ fn perform_all(
             bar.inc(1);
             continue;
         }
-        if let Err(error) = session.rest(Duration::from_secs_f64(run.pause_s.max(0.0))) {
+        if let Err(error) = session.rest(Duration::from_secs_f64(run.pause_s)) {
             return Ok(Some((run.id.clone(), error)));
         }
         let mut configuration = args.configuration.over(own)?;
@@ -302,11 +301,7 @@ fn perform_all(
         let experiment = Experiment {
             configuration: Some(configuration),
             capture: ALL_STREAMS,
-            action: Action::Speed(SpeedRun {
-                duty: Duty::try_from((run.duty * f64::from(Duty::FULL.raw())).round() as u16)?,
-                direction: if run.direction == "cw" { Direction::Cw } else { Direction::Ccw },
-                duration_ms: duration_ms(run.seconds)?,
-            }),
+            action: Action::Speed(run.speed_run().with_context(|| format!("run {}", run.id))?),
             recording: Some(series.recording(run)),
             motor: motor.to_owned(),
         };

@@ -1,13 +1,13 @@
 //! `twum speed`.
 
 use super::configuration::ConfigurationArgs;
-use super::connect::{ConnectArgs, RecordArgs, duration_ms};
+use super::connect::{ConnectArgs, RecordArgs};
 use super::units;
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use twum_host::link::bench::Action;
-use twum_shared::message::SpeedRun;
-use twum_shared::{Direction, Duty};
+use twum_host::record::series::speed_run;
+use twum_shared::Direction;
 
 /// Arguments of `twum speed`.
 #[derive(Debug, clap::Args)]
@@ -39,12 +39,11 @@ enum Way {
 
 /// Runs `twum speed`.
 pub fn run(args: Args) -> Result<ExitCode> {
-    let duty =
-        Duty::try_from((units::duty(&args.duty).context("--duty")? * f64::from(Duty::FULL.raw())).round() as u16)?;
+    let duty = units::duty(&args.duty).context("--duty")?;
     let direction = match args.direction {
         Way::Cw => Direction::Cw,
         Way::Ccw => Direction::Ccw,
     };
-    let run = SpeedRun { duty, direction, duration_ms: duration_ms(args.seconds)? };
+    let run = speed_run(duty, direction, args.seconds)?;
     super::run::make(&args.connect, &args.configuration, &args.record, |_| Ok(Action::Speed(run)))
 }

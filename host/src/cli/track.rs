@@ -1,11 +1,12 @@
 //! `twum track`.
 
 use super::configuration::ConfigurationArgs;
-use super::connect::{ConnectArgs, RecordArgs, duration_ms};
+use super::connect::{ConnectArgs, RecordArgs};
 use super::units;
 use anyhow::{Context, Result, anyhow};
 use std::process::ExitCode;
 use twum_host::link::bench::Action;
+use twum_host::record::series::duration_ms;
 use twum_shared::message::TrackRun;
 use twum_shared::reference::{Reference, WayPoint};
 

@@ -19,9 +19,8 @@ use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
-use twum_shared::message::{CaptureMode, Configuration, RunEnd, SpeedRun};
+use twum_shared::message::{CaptureMode, Configuration, RunEnd};
 use twum_shared::step::ConfigSpec;
-use twum_shared::{Direction, Duty};
 
 /// What chance may hide: what shows in speeds at constant duty, and has no twin there. A runout and an eccentric encoder are
 /// told apart by re-seating the rotor alone; hidden by name, either is one of two.
@@ -146,15 +145,10 @@ fn make(
     path: std::path::PathBuf,
     motor: &str,
 ) -> Result<(), DemoError> {
-    let duty = Duty::try_from((run.duty * f64::from(Duty::FULL.raw())).round() as u16);
     let experiment = Experiment {
         configuration: Some(Configuration::with_control(ConfigSpec::DEFAULT)),
         capture: CaptureMode { bits: false, edges: true, control: false },
-        action: Action::Speed(SpeedRun {
-            duty: duty.expect("a planned duty is a fraction"),
-            direction: if run.direction == "cw" { Direction::Cw } else { Direction::Ccw },
-            duration_ms: (run.seconds * 1e3) as u32,
-        }),
+        action: Action::Speed(run.in_series(0).speed_run().expect("a planned run can be made")),
         recording: Some(path),
         motor: motor.to_owned(),
     };

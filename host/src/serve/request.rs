@@ -1,10 +1,11 @@
 //! Runs as a page asks for them: angles in degrees, lengths in s.
 
 use crate::link::bench::Action;
+use crate::record::series::{duration_ms, speed_run};
 use serde::Deserialize;
-use twum_shared::message::{SpeedRun, TrackRun};
+use twum_shared::Direction;
+use twum_shared::message::TrackRun;
 use twum_shared::reference::{MAX_WAY_POINTS, Reference, WayPoint};
-use twum_shared::{Direction, Duty};
 
 /// A run.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -83,20 +84,16 @@ impl Run {
         let counts = |name: &str, degrees: f64| whole(name, degrees * f64::from(edges_per_rev) / 360.0);
         let track = |reference: Reference, seconds: f64| {
             reference.validate().map_err(|error| error.to_string())?;
-            Ok(Action::Track(TrackRun { reference, duration_ms: duration_ms(seconds)? }))
+            let duration_ms = duration_ms(seconds).map_err(|error| error.to_string())?;
+            Ok(Action::Track(TrackRun { reference, duration_ms }))
         };
         match self {
             Self::Speed { duty, direction, seconds } => {
-                if !(0.0..=1.0).contains(duty) {
-                    return Err(format!("duty = {duty}: outside 0 to 1"));
-                }
-                let duty = Duty::try_from((duty * f64::from(Duty::FULL.raw())).round() as u16)
-                    .map_err(|error| error.to_string())?;
                 let direction = match direction {
                     Way::Cw => Direction::Cw,
                     Way::Ccw => Direction::Ccw,
                 };
-                Ok(Action::Speed(SpeedRun { duty, direction, duration_ms: duration_ms(*seconds)? }))
+                Ok(Action::Speed(speed_run(*duty, direction, *seconds).map_err(|error| error.to_string())?))
             }
             Self::Sine { amplitude_deg, omega_rad_s, seconds } => {
                 if !(0.0..=100.0).contains(omega_rad_s) {
@@ -143,14 +140,6 @@ fn whole(name: &str, value: f64) -> Result<i32, String> {
     }
 }
 
-fn duration_ms(seconds: f64) -> Result<u32, String> {
-    if (0.001..=3600.0).contains(&seconds) {
-        Ok((seconds * 1e3).round() as u32)
-    } else {
-        Err(format!("seconds = {seconds}: outside 0.001 to 3600"))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,10 +159,10 @@ mod tests {
     #[test]
     fn what_cannot_be_is_named() {
         for (text, named) in [
-            (r#"{"kind":"speed","duty":1.5,"direction":"cw","seconds":5}"#, "duty = 1.5"),
+            (r#"{"kind":"speed","duty":1.5,"direction":"cw","seconds":5}"#, "duty 1.5"),
             (r#"{"kind":"speed","duty":0.5,"direction":"up","seconds":5}"#, "up"),
-            (r#"{"kind":"speed","duty":0.5,"direction":"cw","seconds":0}"#, "seconds = 0"),
-            (r#"{"kind":"speed","duty":0.5,"direction":"cw","seconds":4000}"#, "seconds = 4000"),
+            (r#"{"kind":"speed","duty":0.5,"direction":"cw","seconds":0}"#, "0 s is outside"),
+            (r#"{"kind":"speed","duty":0.5,"direction":"cw","seconds":4000}"#, "4000 s is outside"),
             (r#"{"kind":"sine","amplitude_deg":1e300,"omega_rad_s":1,"seconds":1}"#, "amplitude_deg"),
             (r#"{"kind":"sine","amplitude_deg":1,"omega_rad_s":-1,"seconds":1}"#, "omega_rad_s"),
             (r#"{"kind":"ramp","speed_deg_s":1,"limit_deg":-9,"seconds":1}"#, "limit_deg"),

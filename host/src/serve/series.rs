@@ -3,11 +3,10 @@
 use super::board::{Board, Doing, Ended};
 use crate::link::LinkError;
 use crate::link::bench::{Action, Outcome};
-use crate::record::series::{Series, SeriesRun};
+use crate::record::series::Series;
 use std::path::PathBuf;
 use std::time::Duration;
-use twum_shared::message::{Configuration, SpeedRun};
-use twum_shared::{Direction, Duty};
+use twum_shared::message::Configuration;
 
 /// A series to make, or to go on with.
 #[derive(Debug)]
@@ -48,9 +47,9 @@ fn make_all(
     record: &mut dyn FnMut(Configuration, Action, PathBuf, Duration) -> Result<Outcome, Failed>,
 ) -> Result<(), String> {
     let runs = task.series.runs();
-    let total: f64 = runs.iter().map(|run| run.seconds + run.pause_s.max(0.0)).sum();
+    let total: f64 = runs.iter().map(|run| run.seconds + run.pause_s).sum();
     for (index, run) in runs.iter().enumerate() {
-        let done: f64 = runs[..index].iter().map(|run| run.seconds + run.pause_s.max(0.0)).sum();
+        let done: f64 = runs[..index].iter().map(|run| run.seconds + run.pause_s).sum();
         board.doing(Some(Doing {
             what: format!(
                 "experiment {}: run {} of {}, {}; {:.0} s of {:.0} s",
@@ -62,16 +61,21 @@ fn make_all(
                 total
             ),
             recording: Some(format!("{}/recordings/{}", task.name, run.id)),
-            seconds: Some(run.seconds + run.pause_s.max(0.0)),
+            seconds: Some(run.seconds + run.pause_s),
             elapsed_s: 0.0,
         }));
         if task.series.is_made(run).map_err(|error| error.to_string())? {
             continue;
         }
-        let pause = Duration::from_secs_f64(run.pause_s.clamp(0.0, 3600.0));
+        let pause = Duration::from_secs_f64(run.pause_s);
         let used = Configuration { pwm_hz: run.pwm_hz.round() as u16, ..own };
-        let outcome = record(used, Action::Speed(speed_run(run)?), task.series.recording(run), pause)
-            .map_err(|failed| format!("run {}: {failed}", run.id))?;
+        let outcome = record(
+            used,
+            Action::Speed(run.speed_run().map_err(|error| error.to_string())?),
+            task.series.recording(run),
+            pause,
+        )
+        .map_err(|failed| format!("run {}: {failed}", run.id))?;
         if let Some(error) = outcome.cut() {
             // No ordinary run: it goes by another name, and into no measurement.
             task.series.set_aside(run).map_err(|error| error.to_string())?;
@@ -82,23 +86,6 @@ fn make_all(
         }
     }
     Ok(())
-}
-
-/// A run of the plan, as the board is told it.
-///
-/// # Errors
-/// A duty or length that is none.
-pub fn speed_run(run: &SeriesRun) -> Result<SpeedRun, String> {
-    if !(0.0..=1.0).contains(&run.duty) {
-        return Err(format!("run {}: duty {} is outside 0 to 1", run.id, run.duty));
-    }
-    let duty = Duty::try_from((run.duty * f64::from(Duty::FULL.raw())).round() as u16)
-        .map_err(|error| format!("run {}: {error}", run.id))?;
-    if !(0.001..=3600.0).contains(&run.seconds) {
-        return Err(format!("run {}: {} s is outside 0.001 to 3600 s", run.id, run.seconds));
-    }
-    let direction = if run.direction == "cw" { Direction::Cw } else { Direction::Ccw };
-    Ok(SpeedRun { duty, direction, duration_ms: (run.seconds * 1e3).round() as u32 })
 }
 
 /// Why a run was not made.

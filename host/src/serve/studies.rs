@@ -4,7 +4,7 @@
 use super::App;
 use super::answer::{Answer, Refused, command, in_force};
 use super::owner::Command as Order;
-use super::series::{Task, speed_run};
+use super::series::Task;
 use crate::diagnose::plan::first_experiment;
 use crate::record::series::{Series, SeriesRun};
 use axum::extract::{Query, State};
@@ -395,19 +395,9 @@ async fn run(State(app): State<Arc<App>>, Json(wanted): Json<Wanted>) -> Answer 
             if runs.is_empty() || runs.len() > PLANNED {
                 return Err(format!("a plan has 1 to {PLANNED} runs").into());
             }
-            for run in &runs {
-                speed_run(run)?;
-                let plain = run.id.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c));
-                if !plain || run.id.is_empty() || run.id.len() > 80 || !(10.0..=2000.0).contains(&run.pwm_hz) {
-                    return Err("a run's id is letters, digits and hyphens, its pwm_hz 10 to 2000".to_owned().into());
-                }
-            }
             Series::begin(&folder, runs)
         }
     };
     let series = series.map_err(|error| error.to_string())?;
-    for run in series.runs() {
-        speed_run(run)?;
-    }
     command(&app, &wanted.page, Order::Series(Box::new(Task { name: wanted.name, series }))).await
 }

@@ -9,9 +9,10 @@ use super::recording::Recording;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
-use twum_files::input;
+use twum_files::input::{self, printable};
 use twum_files::output::{self, Existing, OutputError};
-use twum_shared::message::RunEnd;
+use twum_shared::message::{RunEnd, SpeedRun};
+use twum_shared::{Direction, Duty};
 
 const RECORDINGS: &str = "recordings";
 const PLAN: &str = "plan.json";
@@ -35,6 +36,81 @@ pub struct SeriesRun {
     pub why: String,
 }
 
+/// What of a run no board can be told.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum RunError {
+    /// A duty that is no fraction.
+    #[error("duty {0} is outside 0 to 1")]
+    Duty(f64),
+    /// A length that no run has.
+    #[error("{0} s is outside 0.001 to 3600 s")]
+    Seconds(f64),
+    /// Neither way.
+    #[error("direction `{0}` is neither `cw` nor `ccw`")]
+    Direction(String),
+    /// A pause that nobody waits for.
+    #[error("a pause of {0} s is outside 0 to 3600 s")]
+    Pause(f64),
+    /// A frequency that the board does not make.
+    #[error("pwm_hz {0} is outside 10 to 2000")]
+    Pwm(f64),
+    /// A name that is no file's.
+    #[error("an id is one to 80 letters, digits and hyphens")]
+    Id,
+}
+
+/// A length in s, between 1 ms and an hour, in ms.
+///
+/// # Errors
+/// Outside of that.
+pub fn duration_ms(seconds: f64) -> Result<u32, RunError> {
+    if (0.001..=3600.0).contains(&seconds) {
+        Ok((seconds * 1e3).round() as u32)
+    } else {
+        Err(RunError::Seconds(seconds))
+    }
+}
+
+/// A run at a fraction of full duty for some seconds, as the board is told it.
+///
+/// # Errors
+/// What the board cannot be told.
+pub fn speed_run(duty: f64, direction: Direction, seconds: f64) -> Result<SpeedRun, RunError> {
+    let raw = (duty * f64::from(Duty::FULL.raw())).round();
+    let inside = (0.0..=1.0).contains(&duty).then_some(raw as u16).and_then(|raw| Duty::try_from(raw).ok());
+    Ok(SpeedRun { duty: inside.ok_or(RunError::Duty(duty))?, direction, duration_ms: duration_ms(seconds)? })
+}
+
+impl SeriesRun {
+    /// The run as the board is told it.
+    ///
+    /// # Errors
+    /// What the board cannot be told.
+    pub fn speed_run(&self) -> Result<SpeedRun, RunError> {
+        let direction = match self.direction.as_str() {
+            "cw" => Direction::Cw,
+            "ccw" => Direction::Ccw,
+            other => return Err(RunError::Direction(other.to_owned())),
+        };
+        speed_run(self.duty, direction, self.seconds)
+    }
+
+    /// Plans are written by hand too, and come from browsers.
+    fn check(&self) -> Result<(), SeriesError> {
+        let plain = self.id.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c));
+        let wrong = if !plain || self.id.is_empty() || self.id.len() > 80 {
+            Some(RunError::Id)
+        } else if !(10.0..=2000.0).contains(&self.pwm_hz) {
+            Some(RunError::Pwm(self.pwm_hz))
+        } else if !(0.0..=3600.0).contains(&self.pause_s) {
+            Some(RunError::Pause(self.pause_s))
+        } else {
+            self.speed_run().err()
+        };
+        wrong.map_or(Ok(()), |reason| Err(SeriesError::Run { id: printable(&self.id), reason }))
+    }
+}
+
 /// Why a series cannot be begun, gone on with or ended.
 #[derive(Debug, Error)]
 pub enum SeriesError {
@@ -54,6 +130,14 @@ pub enum SeriesError {
         path: PathBuf,
         /// What is wrong.
         reason: serde_json::Error,
+    },
+    /// A run of the plan cannot be made.
+    #[error("run `{id}`: {reason}")]
+    Run {
+        /// The run.
+        id: String,
+        /// What is wrong with it.
+        reason: RunError,
     },
     /// The folder cannot be made.
     #[error("{}: {reason}", path.display())]
@@ -89,8 +173,9 @@ impl Series {
     /// Begins a series in a new folder.
     ///
     /// # Errors
-    /// When the folder exists or cannot be made.
+    /// When a run cannot be made, or the folder exists or cannot be made.
     pub fn begin(folder: &Path, runs: Vec<SeriesRun>) -> Result<Self, SeriesError> {
+        runs.iter().try_for_each(SeriesRun::check)?;
         if folder.exists() {
             return Err(SeriesError::Exists(folder.to_owned()));
         }
@@ -106,16 +191,19 @@ impl Series {
     /// Goes on with the series of a folder; `asked` is the plan asked for, if one was.
     ///
     /// # Errors
-    /// When there is none, or another than the one asked for.
+    /// When there is none, or another than the one asked for, or a run cannot be made.
     pub fn resume(folder: &Path, asked: Option<&[SeriesRun]>) -> Result<Self, SeriesError> {
         let path = folder.join(PLAN);
         let text = input::bytes(&path, input::WRITTEN).map_err(|_| SeriesError::NoPlan(folder.to_owned()))?;
         let runs: Vec<SeriesRun> =
             serde_json::from_slice(&text).map_err(|reason| SeriesError::Plan { path, reason })?;
+        runs.iter().try_for_each(SeriesRun::check)?;
         // The last digit of a number may not survive being written.
         let same = |a: &SeriesRun, b: &SeriesRun| {
             let close = |x: f64, y: f64| (x - y).abs() <= 1e-9;
-            a.id == b.id && close(a.duty, b.duty) && close(a.seconds, b.seconds) && close(a.pause_s, b.pause_s)
+            let numbers = |run: &SeriesRun| [run.duty, run.seconds, run.pause_s, run.pwm_hz];
+            let numbers = numbers(a).into_iter().zip(numbers(b));
+            a.id == b.id && a.direction == b.direction && numbers.into_iter().all(|(x, y)| close(x, y))
         };
         if asked.is_some_and(|asked| asked.len() != runs.len() || !asked.iter().zip(&runs).all(|(a, b)| same(a, b))) {
             return Err(SeriesError::AnotherPlan(folder.to_owned()));
@@ -212,6 +300,39 @@ mod tests {
                 why: "first experiment".to_owned(),
             })
             .collect()
+    }
+
+    /// Fails when a plan that a person or a browser wrote moves the motor in a way that it does not say, or writes elsewhere.
+    #[test]
+    fn a_run_that_cannot_be_made_is_refused_before_the_first() {
+        let good = SeriesRun {
+            id: "00-cw".to_owned(),
+            duty: 0.5,
+            direction: "cw".to_owned(),
+            pwm_hz: 50.0,
+            seconds: 1.0,
+            pause_s: 0.0,
+            why: String::new(),
+        };
+        let place = tempfile::tempdir().unwrap();
+        let refused = |run: SeriesRun| {
+            let folder = place.path().join("new");
+            let begun = Series::begin(&folder, vec![good.clone(), run.clone()]).unwrap_err().to_string();
+            assert!(!folder.exists(), "a refused series leaves no folder");
+            // The same of a plan that is there.
+            std::fs::create_dir(&folder).unwrap();
+            std::fs::write(folder.join(PLAN), serde_json::to_vec(&[run]).unwrap()).unwrap();
+            assert_eq!(Series::resume(&folder, None).unwrap_err().to_string(), begun);
+            std::fs::remove_dir_all(&folder).unwrap();
+            begun
+        };
+        let up = refused(SeriesRun { direction: "up".to_owned(), ..good.clone() });
+        assert_eq!(up, "run `00-cw`: direction `up` is neither `cw` nor `ccw`");
+        assert!(refused(SeriesRun { id: "../a".to_owned(), ..good.clone() }).contains("letters, digits and hyphens"));
+        assert!(refused(SeriesRun { duty: 1.5, ..good.clone() }).contains("duty 1.5"));
+        assert!(refused(SeriesRun { seconds: 1e9, ..good.clone() }).contains("3600"));
+        assert!(refused(SeriesRun { pwm_hz: 1e5, ..good.clone() }).contains("pwm_hz"));
+        assert!(refused(SeriesRun { pause_s: -1.0, ..good.clone() }).contains("pause"));
     }
 
     #[test]
