@@ -22,6 +22,17 @@ pub enum Verdict {
 }
 
 impl Verdict {
+    /// What findings and what is left without a cause come to.
+    pub(super) fn of(findings: &[Finding], unknown: &[Unknown]) -> Self {
+        let any = |s: Status| findings.iter().any(|f| f.status == s);
+        match (any(Status::Named), any(Status::Ambiguous), unknown.is_empty()) {
+            (true, _, _) => Self::Named,
+            (_, true, _) => Self::Ambiguous,
+            (_, _, false) => Self::Unknown,
+            _ => Self::None,
+        }
+    }
+
     /// The word used in the JSON.
     pub fn word(self) -> &'static str {
         match self {
@@ -155,22 +166,12 @@ impl Diagnosis {
     /// Puts the answer together.
     pub fn new(outcome: &Outcome, replicated: bool, notes: Vec<String>, seed: u64) -> Self {
         let findings = &outcome.findings;
-        let any = |s: Status| findings.iter().any(|f| f.status == s);
-        let verdict = if any(Status::Named) {
-            Verdict::Named
-        } else if any(Status::Ambiguous) {
-            Verdict::Ambiguous
-        } else if !outcome.unknown.is_empty() {
-            Verdict::Unknown
-        } else {
-            Verdict::None
-        };
         let base = outcome.held_out.rmse(0);
         let extended = outcome.held_out.rmse(1);
         let floor = outcome.noise_floor;
         Self {
             schema: 1,
-            verdict,
+            verdict: Verdict::of(findings, &outcome.unknown),
             replicated,
             baseline: BaselineScores {
                 scores: Scores {

@@ -57,7 +57,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcom
     let root = visited.iter().find(|s| s.parts.is_empty()).unwrap_or(&visited[0]);
     let standing = Standing::of(ground, &scorer, visited, root, settings.seed);
     let best = &standing.sets[0];
-    let accepted = accepted_set(&standing.sets, &standing.judged, root);
+    let accepted = standing.judged.accepted(&standing.sets, Set::key, |_| false).unwrap_or(root);
     let held_out = scorer.held_out(root).against(&scorer.held_out(accepted));
     // Chance is judged with the gains that the accepted effects leave.
     let chance = scorer.chance(root, &accepted.weighed.gains, settings.repetitions, settings.seed);
@@ -259,7 +259,7 @@ fn uncertain_effects(
     judged: &Judgement,
     seed: u64,
 ) -> Vec<usize> {
-    let accepted = accepted_set(sets, judged, root);
+    let accepted = judged.accepted(sets, Set::key, |_| false).unwrap_or(root);
     let all = scorer.held_out(accepted);
     let doubtful = accepted.parts.iter().filter(|p| certain(judged, p.effect) < BEYOND_DOUBT).find(|p| {
         let held = scorer.held_out(&without(ground, sets, accepted, p.effect)).against(&all);
@@ -280,19 +280,6 @@ fn certain(judged: &Judgement, effect: usize) -> f64 {
 
 fn inclusion(judged: &Judgement, effect: usize) -> f64 {
     judged.inclusion.iter().find(|i| i.0 == effect).map_or(0.0, |i| i.1)
-}
-
-/// The best set that holds every named effect, one of each set of rivals, and nothing else; where none holds all, most of them.
-fn accepted_set<'a>(sets: &'a [Set], judged: &Judgement, root: &'a Set) -> &'a Set {
-    let said = |e: &usize| judged.named.contains(e) || judged.set_of(*e).is_some();
-    let holds = |s: &Set| {
-        let key = s.key();
-        let named = judged.named.iter().filter(|e| key.contains(e)).count();
-        named + judged.one_of.iter().filter(|set| key.iter().any(|e| set.contains(e))).count()
-    };
-    let of_said = sets.iter().filter(|s| s.key().iter().all(said));
-    // The first of equals is the best.
-    of_said.reduce(|best, s| if holds(s) > holds(best) { s } else { best }).unwrap_or(root)
 }
 
 /// The accepted set without one of its effects: visited, or refitted.

@@ -75,6 +75,25 @@ pub struct Judgement {
 }
 
 impl Judgement {
+    /// The best of the sets, best first, that holds every named effect, one of each set of rivals, and nothing else but what is `free`;
+    /// where none holds all, most of them. `None` where every set holds something else.
+    pub fn accepted<'a, S>(
+        &self,
+        sets: &'a [S],
+        key: impl Fn(&S) -> Vec<usize>,
+        free: impl Fn(usize) -> bool,
+    ) -> Option<&'a S> {
+        let said = |e: &usize| free(*e) || self.named.contains(e) || self.set_of(*e).is_some();
+        let holds = |s: &S| {
+            let key = key(s);
+            let named = self.named.iter().filter(|e| key.contains(e)).count();
+            named + self.one_of.iter().filter(|set| key.iter().any(|e| set.contains(e))).count()
+        };
+        let of_said = sets.iter().filter(|s| key(s).iter().all(said));
+        // The first of equals is the best.
+        of_said.reduce(|best, s| if holds(s) > holds(best) { s } else { best })
+    }
+
     /// The set of rivals that an effect is in.
     pub fn set_of(&self, effect: usize) -> Option<&Vec<usize>> {
         self.one_of.iter().find(|set| set.contains(&effect))

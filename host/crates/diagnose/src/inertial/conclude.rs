@@ -58,7 +58,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], repetitions: usize, seed: u64)
     let root = visited.iter().find(|s| s.parts.is_empty()).unwrap_or(&visited[0]);
     let scorer = Scorer::new(ground);
     let standing = Standing::of(&scorer, visited, root, seed);
-    let accepted = accepted_set(&standing.sets, &standing.judged, root);
+    let accepted = standing.judged.accepted(&standing.sets, Set::key, |e| EFFECTS[e].own).unwrap_or(root);
     let held = scorer.held_out(root).against(&scorer.held_out(accepted));
     let singles: Vec<(usize, &Set)> =
         visited.iter().filter(|s| s.parts.len() == 1).map(|s| (s.parts[0].effect, s)).collect();
@@ -181,7 +181,7 @@ fn uncertain_effects(scorer: &Scorer, sets: &[Set], root: &Set, judged: &Judgeme
         };
         best(true) - best(false)
     };
-    let accepted = accepted_set(sets, judged, root);
+    let accepted = judged.accepted(sets, Set::key, |e| EFFECTS[e].own).unwrap_or(root);
     let all = scorer.held_out(accepted);
     let doubtful = (0..accepted.parts.len()).find(|k| {
         lead(accepted.parts[*k].effect) < BEYOND_DOUBT && {
@@ -192,20 +192,6 @@ fn uncertain_effects(scorer: &Scorer, sets: &[Set], root: &Set, judged: &Judgeme
     });
     let effect = doubtful.map(|k| accepted.parts[k].effect);
     effect.map_or(Vec::new(), |e| judged.set_of(e).cloned().unwrap_or_else(|| vec![e]))
-}
-
-/// The best set that holds every named effect, one of each set of rivals, and nothing else; where none holds all, most of them. The
-/// motor's own are free to be there.
-fn accepted_set<'a>(sets: &'a [Set], judged: &Judgement, root: &'a Set) -> &'a Set {
-    let said = |e: &usize| EFFECTS[*e].own || judged.named.contains(e) || judged.set_of(*e).is_some();
-    let holds = |s: &Set| {
-        let key = s.key();
-        let named = judged.named.iter().filter(|e| key.contains(e)).count();
-        named + judged.one_of.iter().filter(|set| key.iter().any(|e| set.contains(e))).count()
-    };
-    let of_said = sets.iter().filter(|s| s.key().iter().all(said));
-    // The first of equals is the best.
-    of_said.reduce(|best, s| if holds(s) > holds(best) { s } else { best }).unwrap_or(root)
 }
 
 /// What findings are made from.

@@ -31,7 +31,7 @@ pub use report::{MotorReport, Number};
 
 use super::Options;
 use super::answer::{Diagnosis, UnknownAnswer, Verdict, effect_answer};
-use super::finding::{Estimate, Status};
+use super::finding::Estimate;
 use sets::Ground;
 use twum_record::measurement::Run;
 
@@ -42,18 +42,9 @@ fn says(name: &str) -> Option<(&'static str, &'static str)> {
 
 /// The answer that other programs read.
 fn answer_of(outcome: &InertialOutcome, replicated: bool, notes: Vec<String>, seed: u64) -> Diagnosis {
-    let any = |s: Status| outcome.findings.iter().any(|f| f.status == s);
     let (base, extended, floor) = (outcome.held_out.rmse(0), outcome.held_out.rmse(1), outcome.noise_floor);
     let mut d = Diagnosis::impossible(notes, seed);
-    d.verdict = if any(Status::Named) {
-        Verdict::Named
-    } else if any(Status::Ambiguous) {
-        Verdict::Ambiguous
-    } else if !outcome.unknown.is_empty() {
-        Verdict::Unknown
-    } else {
-        Verdict::None
-    };
+    d.verdict = Verdict::of(&outcome.findings, &outcome.unknown);
     d.replicated = replicated;
     d.baseline.scores.rmse_speed_rpm = Some(base);
     d.baseline.noise_floor = floor;
