@@ -15,10 +15,10 @@ pub const ROWS: &core::ffi::CStr = c"rows";
 pub const FRAMES: &core::ffi::CStr = c"frames";
 /// Room for a controller, its length included.
 pub const SPEC_BYTES: usize = 128;
-/// A tick's inputs: target, its rate, position.
-pub const TICK_BYTES: usize = 12;
+/// A tick's inputs: target, its rate, position, age of the last edge, the target's fraction, nothing.
+pub const TICK_BYTES: usize = 16;
 /// A tick's outputs.
-pub const ROW_BYTES: usize = 24;
+pub const ROW_BYTES: usize = 28;
 
 /// What became of one tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +29,8 @@ pub struct Row {
     pub integral: i32,
     /// Error the state remembers.
     pub previous_error: i32,
+    /// Where a model of the rotor believes it to be, past its count.
+    pub place: i32,
     /// Duty steps on.
     pub on_steps: u16,
     /// Bit 0: clockwise; bit 1: clockwise by the doubles.
@@ -59,6 +61,7 @@ impl Row {
         bytes[18..20].copy_from_slice(&self.doubles_cost.to_le_bytes());
         bytes[20..22].copy_from_slice(&self.stalled.to_le_bytes());
         bytes[22..24].copy_from_slice(&self.stall_cost.to_le_bytes());
+        bytes[24..28].copy_from_slice(&self.place.to_le_bytes());
         bytes
     }
 
@@ -76,6 +79,7 @@ impl Row {
             doubles_cost: u16::from_le_bytes([b[18], b[19]]),
             stalled: u16::from_le_bytes([b[20], b[21]]),
             stall_cost: u16::from_le_bytes([b[22], b[23]]),
+            place: i32::from_le_bytes([b[24], b[25], b[26], b[27]]),
         }
     }
 }
@@ -87,6 +91,8 @@ pub fn tick_to_bytes(inputs: &Inputs) -> [u8; TICK_BYTES] {
     bytes[0..4].copy_from_slice(&inputs.target.to_le_bytes());
     bytes[4..8].copy_from_slice(&inputs.target_rate.to_le_bytes());
     bytes[8..12].copy_from_slice(&inputs.position.to_le_bytes());
+    bytes[12..14].copy_from_slice(&inputs.edge_age_us.to_le_bytes());
+    bytes[14..15].copy_from_slice(&inputs.target_fraction.to_le_bytes());
     bytes
 }
 
@@ -97,5 +103,7 @@ pub fn tick_from_bytes(b: &[u8; TICK_BYTES]) -> Inputs {
         target: i32::from_le_bytes([b[0], b[1], b[2], b[3]]),
         target_rate: i32::from_le_bytes([b[4], b[5], b[6], b[7]]),
         position: i32::from_le_bytes([b[8], b[9], b[10], b[11]]),
+        edge_age_us: u16::from_le_bytes([b[12], b[13]]),
+        target_fraction: i8::from_le_bytes([b[14]]),
     }
 }

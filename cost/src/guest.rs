@@ -119,6 +119,7 @@ fn one(config: &Config, loops: &mut Loops, seen: Inputs) -> (Outputs, Row) {
         u: decided.u,
         integral: state.integral,
         previous_error: state.previous_error,
+        place: state.rotor.place,
         on_steps: decided.on_steps,
         directions: u8::from(decided.direction.pin_high()) | u8::from(clockwise) << 1,
         doubles_pwm: pwm as u8,

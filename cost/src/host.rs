@@ -26,6 +26,8 @@ const JUDGED_STEP_LIMIT: u32 = 250;
 const LONGER_LIMIT: u32 = 8_000;
 /// Random controllers that wait with a reversal: under the longer limit.
 const WAITING: &str = "random, waiting";
+/// A drive that is gated by a model of the rotor, and random ones: likewise.
+const GATED: [&str; 2] = ["gated", "random, gated"];
 /// How many times more the doubles must cost.
 const RATIO_LIMIT: f64 = 10.0;
 /// Random controllers, and random ticks of each: more than a million steps.
@@ -65,9 +67,14 @@ struct Run {
 }
 
 fn measure(guest: &Path) -> io::Result<bool> {
-    let mut runs = vec![recorded("thesis", ConfigSpec::THESIS), recorded("default", ConfigSpec::DEFAULT)];
+    let mut runs = vec![
+        recorded("thesis", ConfigSpec::THESIS),
+        recorded("default", ConfigSpec::DEFAULT),
+        recorded(GATED[0], ConfigSpec::GATED),
+    ];
     let mut pcg = Pcg(1);
     runs.extend((0..RANDOM.0).map(|index| random(&mut pcg, index % 2 == 1)));
+    runs.extend((0..RANDOM.0 / 2).map(|_| random_gated(&mut pcg)));
 
     let folder = Folder::new()?;
     fs::write(folder.file(INPUTS), inputs_file(&runs))?;
@@ -102,7 +109,7 @@ fn report(runs: &[Run], rows: &[u8], frames: &[u8]) -> io::Result<bool> {
             step_costs.add(u32::from(row.step_cost));
             doubles_costs.add(u32::from(row.doubles_cost));
             stall_costs.add(u32::from(row.stall_cost));
-            let of = if run.name == WAITING { &mut longer } else { &mut judged_steps };
+            let of = if is_longer(run.name) { &mut longer } else { &mut judged_steps };
             of.add(u32::from(row.step_cost) + u32::from(row.stall_cost));
             if let Some(frame) = frame {
                 let (cost, bytes) = frames.next()?;
@@ -135,7 +142,7 @@ fn report(runs: &[Run], rows: &[u8], frames: &[u8]) -> io::Result<bool> {
             println!("| {work} | {name} | {} | {:.1} | {} |", c.min, c.mean(), c.max);
         }
     }
-    let short = steps.iter().filter(|(name, _)| *name != WAITING);
+    let short = steps.iter().filter(|(name, _)| !is_longer(name));
     let worst = short.map(|(_, c)| c.max).max().unwrap_or(u32::MAX);
     let ratio = doubles[0].1.mean() / steps[0].1.mean();
     println!("\n{compared} steps on RISC-V and on this machine: {different} differ.");
@@ -144,8 +151,12 @@ fn report(runs: &[Run], rows: &[u8], frames: &[u8]) -> io::Result<bool> {
     println!(
         "Worst fixed-point step: {worst} instructions; with the judgement of the encoder: {judged} (at most {JUDGED_STEP_LIMIT})."
     );
-    println!("Of {}: {} (at most {LONGER_LIMIT}).", WAITING, longer.max);
+    println!("Of controllers that wait or gate the drive: {} (at most {LONGER_LIMIT}).", longer.max);
     Ok(different == 0 && judged <= JUDGED_STEP_LIMIT && longer.max <= LONGER_LIMIT && ratio >= RATIO_LIMIT)
+}
+
+fn is_longer(name: &str) -> bool {
+    name == WAITING || GATED.contains(&name)
 }
 
 /// What the guest must give: the rows of a run with the costs left out, and after each full block its frame.
@@ -186,6 +197,7 @@ impl Iterator for Expected<'_> {
             u: decided.u,
             integral: self.state.integral,
             previous_error: self.state.previous_error,
+            place: self.state.rotor.place,
             on_steps: decided.on_steps,
             directions: u8::from(decided.direction.pin_high()) | u8::from(clockwise) << 1,
             doubles_pwm: pwm as u8,
@@ -285,7 +297,13 @@ fn recorded(name: &'static str, spec: ConfigSpec) -> Run {
     let (mut state, mut position) = (State::REST, 0.0);
     let inputs = (0..RECORDED_TICKS).map(|tick| {
         let target = reference.at(tick as u64 * 500);
-        let seen = Inputs { target: target.position, target_rate: target.rate, position: position as i32 };
+        let seen = Inputs {
+            target: target.position,
+            target_rate: target.rate,
+            target_fraction: target.fraction,
+            position: position as i32,
+            edge_age_us: 137,
+        };
         let decided = work::fixed_point(&config, &mut state, seen);
         let on = f64::from(decided.on_steps) / f64::from(config.spec().duty_steps);
         position += f64::from(decided.direction.sign()) * on * 400.0 * 35.0 / 60.0 * 500e-6;
@@ -312,11 +330,34 @@ fn random(pcg: &mut Pcg, waits: bool) -> Run {
             conditional_integration: pcg.coin(),
             reversal_rest_ticks: if waits { (1 + pcg.next() % 8) as u16 } else { 0 },
             reversal_limit_ticks: 8 + (pcg.next() % 8) as u16,
+            ..ConfigSpec::DEFAULT
         };
         if let Ok(config) = Config::try_from(spec) {
             break config;
         }
     };
+    let name = if waits { WAITING } else { "random" };
+    Run { name, inputs: walks(pcg), config, telemetry: false }
+}
+
+/// A random valid model of a rotor, likewise.
+fn random_gated(pcg: &mut Pcg) -> Run {
+    let config = loop {
+        let spec = ConfigSpec {
+            full_speed_counts_s: (pcg.next() % 16_000) as u16,
+            braking_counts_s2: pcg.next() >> (pcg.next() % 24),
+            delay_ticks: (pcg.next() % 9) as u8,
+            shortest_pulse_ticks: (1 + pcg.next() % 8) as u8,
+            ..ConfigSpec::GATED
+        };
+        if let Ok(config) = Config::try_from(spec) {
+            break config;
+        }
+    };
+    Run { name: GATED[1], inputs: walks(pcg), config, telemetry: false }
+}
+
+fn walks(pcg: &mut Pcg) -> Vec<Inputs> {
     let mut seen = Inputs::default();
     let inputs = (0..RANDOM.1).map(|_| {
         let walk = |pcg: &mut Pcg, value: i32| match pcg.next() % 64 {
@@ -328,10 +369,12 @@ fn random(pcg: &mut Pcg, waits: bool) -> Run {
             target: walk(pcg, seen.target),
             target_rate: walk(pcg, seen.target_rate),
             position: walk(pcg, seen.position),
+            target_fraction: pcg.next() as i8,
+            edge_age_us: pcg.next() as u16,
         };
         seen
     });
-    Run { name: if waits { WAITING } else { "random" }, inputs: inputs.collect(), config, telemetry: false }
+    inputs.collect()
 }
 
 /// O'Neill's PCG-XSH-RR 64/32: the same inputs everywhere.

@@ -9,6 +9,7 @@ use twum_shared::encoder::CountSign;
 pub struct Encoder {
     count: AtomicI32,
     edges: AtomicU32,
+    edge_us: AtomicU32,
     reversed: AtomicBool,
     unsigned: AtomicBool,
     streaming: AtomicBool,
@@ -19,6 +20,7 @@ impl Encoder {
         Self {
             count: AtomicI32::new(0),
             edges: AtomicU32::new(0),
+            edge_us: AtomicU32::new(0),
             reversed: AtomicBool::new(false),
             unsigned: AtomicBool::new(true),
             streaming: AtomicBool::new(false),
@@ -33,6 +35,13 @@ impl Encoder {
     /// Edges since boot. Wraps at 2^32.
     pub fn edges(&self) -> u32 {
         self.edges.load(Ordering::Relaxed)
+    }
+
+    /// How long before `now_us` the last edge came, µs; at its limit for one that is older. Read after the count: an edge that
+    /// comes between the two is then one of the next tick, with its own time.
+    pub(crate) fn edge_age_us(&self, now_us: u64) -> u16 {
+        let age_us = (now_us as u32).wrapping_sub(self.edge_us.load(Ordering::Relaxed)) as i32;
+        if age_us < 0 { 0 } else { age_us.min(i32::from(u16::MAX)) as u16 }
     }
 
     pub(crate) fn zero(&self) {
@@ -52,9 +61,10 @@ impl Encoder {
         self.streaming.store(streaming, Ordering::Relaxed);
     }
 
-    /// Counts an edge; whether edges are streamed.
+    /// Counts an edge at `time_us` (the device clock's low 32 bits); whether edges are streamed.
     #[inline]
-    pub(crate) fn pass(&self, direction: Direction) -> bool {
+    pub(crate) fn pass(&self, direction: Direction, time_us: u32) -> bool {
+        self.edge_us.store(time_us, Ordering::Relaxed);
         self.count.fetch_add(self.increment(direction), Ordering::Relaxed);
         self.edges.fetch_add(1, Ordering::Relaxed);
         self.streaming.load(Ordering::Relaxed)

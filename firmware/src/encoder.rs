@@ -22,7 +22,7 @@ impl<'a> EncoderInterrupt<'a> {
     /// of the interrupt's work.
     #[inline]
     pub fn edge(&mut self, level: bool, direction: Direction, time_us: u32) {
-        if !self.shared.encoder.pass(direction) {
+        if !self.shared.encoder.pass(direction, time_us) {
             return;
         }
         let record = EdgeRecord { index: self.streamed, edge: Edge { time_us, level, direction } };

@@ -80,7 +80,8 @@ fn use_by_board(message: &HostMessage) {
             for (target, target_rate, position) in
                 [(0, 0, 0), (1, 1, -1), (i32::MAX, i32::MIN, i32::MIN), (i32::MIN, i32::MAX, i32::MAX)]
             {
-                let out = step::step(&config, &mut state, Inputs { target, target_rate, position });
+                let out =
+                    step::step(&config, &mut state, Inputs { target, target_rate, position, ..Inputs::default() });
                 assert!(out.on_steps <= configuration.control.duty_steps);
             }
         }

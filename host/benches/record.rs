@@ -77,21 +77,13 @@ fn write_hour(path: &Path) {
                 target: (89.0 * phase.sin()) as i32,
                 target_rate: (89.0 * 1.257 * phase.cos()) as i32,
                 position: position as i32,
+                ..Inputs::default()
             };
             let out = step(&config, &mut state, inputs);
             let drive = f64::from(out.on_steps.saturating_sub(1)) / 31.0 * f64::from(out.direction.sign());
             speed += (drive * 350.0 - speed) * 500e-6 / 5e-3;
             position += speed * 500e-6;
-            let sample = ControlSample {
-                target: inputs.target,
-                target_rate: inputs.target_rate,
-                position: inputs.position,
-                u: out.u,
-                on_steps: out.on_steps,
-                direction: out.direction,
-                late_us: (tick % 5) as u16,
-                duration_us: 6 + (tick % 3) as u16,
-            };
+            let sample = ControlSample::new(inputs, out, (tick % 5) as u16, 6 + (tick % 3) as u16);
             message.samples.push(sample).expect("a block's size");
         }
         let sent_us = message.first_us + 500 * BLOCK_SAMPLES as u64;

@@ -57,8 +57,11 @@ pub enum ControllerError {
 }
 
 const SIGNS: [(&str, CountSign); 2] = [("positive", CountSign::Positive), ("reversed", CountSign::Reversed)];
-const LAWS: [(&str, DriveLaw); 2] =
-    [("active-low-truncated", DriveLaw::ActiveLowTruncated), ("on-time-rounded", DriveLaw::OnTimeRounded)];
+const LAWS: [(&str, DriveLaw); 3] = [
+    ("active-low-truncated", DriveLaw::ActiveLowTruncated),
+    ("on-time-rounded", DriveLaw::OnTimeRounded),
+    ("gated", DriveLaw::Gated),
+];
 
 fn word<T: Copy + PartialEq>(words: &[(&'static str, T)], value: T) -> Value {
     let word = words.iter().find(|(_, known)| *known == value).map_or("", |(word, _)| word);
@@ -96,6 +99,10 @@ fn tables(configuration: &Configuration) -> [(&'static str, Vec<(String, Value)>
         named("conditional_integration", control.conditional_integration.into()),
         named("reversal_rest_ticks", i64::from(control.reversal_rest_ticks).into()),
         named("reversal_limit_ticks", i64::from(control.reversal_limit_ticks).into()),
+        named("full_speed_counts_s", i64::from(control.full_speed_counts_s).into()),
+        named("braking_counts_s2", i64::from(control.braking_counts_s2).into()),
+        named("delay_ticks", i64::from(control.delay_ticks).into()),
+        named("shortest_pulse_ticks", i64::from(control.shortest_pulse_ticks).into()),
     ];
     let limits = Table::try_from(limits).expect("limits are a struct of integers");
     [("", bench), ("control", control), ("limits", limits.into_iter().collect())]
@@ -120,8 +127,8 @@ pub fn difference(one: &Configuration, other: &Configuration) -> Vec<(String, Va
 pub fn to_toml(configuration: &Configuration) -> String {
     let mut text = String::from(
         "# Configuration of a board; `twum config load` sends it. Gains are in duty steps: kp a count, ki_tick a count and tick,\n\
-         # kd_tick a count/tick, feed_forward a count/s. A tick is period_us long. [control] may also be `control = \"thesis\"`\n\
-         # or `control = \"default\"`. What is left out stays as the board has it.\n",
+         # kd_tick a count/tick, feed_forward a count/s. A tick is period_us long. [control] may also be `control = \"thesis\"`,\n\
+         # `\"default\"` or `\"gated\"`. What is left out stays as the board has it.\n",
     );
     for (table, rows) in tables(configuration) {
         if !table.is_empty() {
@@ -146,13 +153,11 @@ pub fn overlay(base: &Configuration, text: &str) -> Result<Configuration, Config
             ("edges_per_rev", value) => configuration.edges_per_rev = integer(&key, &value)?,
             ("pwm_hz", value) => configuration.pwm_hz = integer(&key, &value)?,
             ("control", Value::String(name)) => {
-                configuration.control = match name.as_str() {
-                    "thesis" => ConfigSpec::THESIS,
-                    "default" => ConfigSpec::DEFAULT,
-                    _ => {
-                        return Err(wrong("control", &Value::String(name), "`thesis`, `default` or a table [control]"));
-                    }
-                }
+                let Some(control) = ConfigSpec::named(&name) else {
+                    let known = "`thesis`, `default`, `gated` or a table [control]";
+                    return Err(wrong("control", &Value::String(name), known));
+                };
+                choose(&mut configuration, control);
             }
             ("control", Value::Table(table)) => overlay_control(&mut configuration.control, table)?,
             ("limits", Value::Table(table)) => configuration.limits = overlay_limits(&configuration.limits, table)?,
@@ -162,6 +167,14 @@ pub fn overlay(base: &Configuration, text: &str) -> Result<Configuration, Config
     }
     validate(&configuration)?;
     Ok(configuration)
+}
+
+/// Gives the board another controller, and the PWM frequency that goes with it where the one it has belongs to another law.
+pub fn choose(configuration: &mut Configuration, control: ConfigSpec) {
+    if control.law != configuration.control.law && [control.law, configuration.control.law].contains(&DriveLaw::Gated) {
+        configuration.pwm_hz = control.pwm_hz();
+    }
+    configuration.control = control;
 }
 
 /// `base` with the limits of a text: the keys of its table `[limits]`, or its own where it has none.
@@ -180,14 +193,17 @@ pub fn overlay_only_limits(base: &Configuration, text: &str) -> Result<Configura
     Ok(configuration)
 }
 
-/// A controller by name (`thesis`, `default`), or from a file: its table `[control]`, of which what is left out is the default's,
+/// A controller by name (`thesis`, `default`, `gated`), or from a file: its table `[control]`, of which what is left out is the default's,
 /// or a file of gains as a measurement folder has them.
 ///
 /// # Errors
 /// Names the file, the key and what is wrong with it.
 pub fn controller(name: &str) -> Result<ConfigSpec, ControllerError> {
     let in_file = |error| ControllerError::File { path: name.to_owned(), error };
-    if let (false, Ok(text)) = (["thesis", "default"].contains(&name), input::text(Path::new(name), input::WRITTEN))
+    if let Some(named) = ConfigSpec::named(name) {
+        return Ok(named);
+    }
+    if let Ok(text) = input::text(Path::new(name), input::WRITTEN)
         && let Some(control) = text.parse::<Table>().map_err(|e| in_file(e.into()))?.remove("control")
     {
         let alone = Table::from_iter([("control".to_owned(), control)]).to_string();
@@ -239,6 +255,10 @@ fn overlay_control(control: &mut ConfigSpec, table: Table) -> Result<(), Configu
             }
             "reversal_rest_ticks" => control.reversal_rest_ticks = integer(&name, &value)?,
             "reversal_limit_ticks" => control.reversal_limit_ticks = integer(&name, &value)?,
+            "full_speed_counts_s" => control.full_speed_counts_s = integer(&name, &value)?,
+            "braking_counts_s2" => control.braking_counts_s2 = integer(&name, &value)?,
+            "delay_ticks" => control.delay_ticks = integer(&name, &value)?,
+            "shortest_pulse_ticks" => control.shortest_pulse_ticks = integer(&name, &value)?,
             _ => return Err(ConfigurationError::Unknown(name)),
         }
     }

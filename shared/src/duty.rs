@@ -20,6 +20,14 @@ impl Direction {
         }
     }
 
+    /// The other one.
+    pub const fn opposite(self) -> Self {
+        match self {
+            Self::Cw => Self::Ccw,
+            Self::Ccw => Self::Cw,
+        }
+    }
+
     /// The level of the direction pin.
     pub const fn pin_high(self) -> bool {
         matches!(self, Self::Cw)

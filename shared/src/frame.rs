@@ -9,9 +9,9 @@ use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Version of the protocol. Another version is refused at the first frame.
-pub const PROTOCOL_VERSION: u8 = 4;
+pub const PROTOCOL_VERSION: u8 = 5;
 /// Longest frame before COBS, bytes.
-pub const MAX_PLAIN: usize = 600;
+pub const MAX_PLAIN: usize = 680;
 /// Longest frame on the line, its separator included, bytes.
 pub const MAX_ENCODED: usize = MAX_PLAIN + MAX_PLAIN / 254 + 2;
 
@@ -198,7 +198,7 @@ mod tests {
     use crate::message::*;
     use crate::reference::{Reference, WayPoint};
     use crate::safety::Limits;
-    use crate::step::{ConfigSpec, Reversal, State};
+    use crate::step::{ConfigSpec, Reversal, Rotor, State};
     use crate::{Direction, Duty, Fault};
     use proptest::prelude::*;
     use std::vec::Vec;
@@ -224,6 +224,8 @@ mod tests {
             direction: Direction::Ccw,
             late_us: u16::MAX,
             duration_us: u16::MAX,
+            target_fraction: i8::MIN,
+            edge_age_us: u16::MAX,
         };
         let edge = Edge { time_us: u32::MAX, level: true, direction: Direction::Ccw };
         let config = Configuration::with_control(ConfigSpec::DEFAULT);
@@ -249,7 +251,18 @@ mod tests {
             fault: Some(Fault::BootFromWatchdog),
         };
         let reversal = Reversal { rest_left: u16::MAX, limit_left: u16::MAX, position: i32::MIN };
-        let state = State { integral: i32::MIN, previous_error: i32::MIN, direction: Direction::Cw, reversal };
+        let rotor = Rotor {
+            count: i32::MIN,
+            place: i32::MIN,
+            speed: i32::MIN,
+            full_cw: i32::MIN,
+            full_ccw: i32::MIN,
+            braking: i32::MIN,
+            on: u16::MAX,
+            cw: u16::MAX,
+            held: u8::MAX,
+        };
+        let state = State { integral: i32::MIN, previous_error: i32::MIN, direction: Direction::Cw, reversal, rotor };
         std::vec![
             DeviceMessage::Hello(identity),
             DeviceMessage::Ack { of: u32::MAX },

@@ -5,7 +5,7 @@
 use crate::encoder::{CountSign, Edge};
 use crate::reference::{Reference, ReferenceError};
 use crate::safety::Limits;
-use crate::step::{ConfigError, ConfigSpec, Inputs, Outputs, State};
+use crate::step::{ConfigError, ConfigSpec, DriveLaw, Inputs, Outputs, State};
 use crate::{Direction, Duty, Fault};
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
@@ -33,9 +33,15 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// The 30 mm PCBMotor under `control`.
+    /// The 30 mm PCBMotor under `control`, with the PWM frequency that belongs to it.
     pub const fn with_control(control: ConfigSpec) -> Self {
-        Self { control, limits: Limits::DEFAULT, count_sign: CountSign::Positive, edges_per_rev: 400, pwm_hz: 50 }
+        let pwm_hz = control.pwm_hz();
+        Self { control, limits: Limits::DEFAULT, count_sign: CountSign::Positive, edges_per_rev: 400, pwm_hz }
+    }
+
+    /// Whether the PWM is one that the controller's law can be run with: a gated drive is decided anew for every period.
+    pub const fn pwm_fits(&self) -> bool {
+        !matches!(self.control.law, DriveLaw::Gated) || self.pwm_hz == self.control.pwm_hz()
     }
 }
 
@@ -237,6 +243,11 @@ pub enum Refusal {
     /// A stop came before the command was looked at.
     #[error("a stop came before it")]
     Overtaken,
+    /// The controller gates the drive every control period, and the PWM is another one.
+    #[error(
+        "the controller gates the drive every control period: set pwm_hz to one PWM period in each (2000 at 500 us)"
+    )]
+    Pwm,
 }
 
 /// How a run ended.
@@ -291,6 +302,10 @@ pub struct ControlSample {
     pub late_us: u16,
     /// How long the tick before took, µs.
     pub duration_us: u16,
+    /// What the wanted position lies beyond its whole counts, 1/128 count.
+    pub target_fraction: i8,
+    /// How long ago the last edge came, µs; at its limit for one that is older.
+    pub edge_age_us: u16,
 }
 
 impl ControlSample {
@@ -305,6 +320,19 @@ impl ControlSample {
             direction: outputs.direction,
             late_us,
             duration_us,
+            target_fraction: inputs.target_fraction,
+            edge_age_us: inputs.edge_age_us,
+        }
+    }
+
+    /// What the tick saw.
+    pub fn inputs(&self) -> Inputs {
+        Inputs {
+            target: self.target,
+            target_rate: self.target_rate,
+            position: self.position,
+            target_fraction: self.target_fraction,
+            edge_age_us: self.edge_age_us,
         }
     }
 }

@@ -72,6 +72,8 @@ pub enum ReferenceError {
 pub struct Target {
     /// Wanted position, counts.
     pub position: i32,
+    /// What it lies beyond that, 1/128 count: between one count less and one more, cut towards zero.
+    pub fraction: i8,
     /// Wanted rate, counts/s.
     pub rate: i32,
 }
@@ -116,7 +118,7 @@ impl Reference {
         match self {
             Self::Sine { amplitude, omega_urad_s } => sine(*amplitude, *omega_urad_s, elapsed_us),
             Self::Step { position, at_us } => {
-                Target { position: if elapsed_us >= u64::from(*at_us) { *position } else { 0 }, rate: 0 }
+                Target { position: if elapsed_us >= u64::from(*at_us) { *position } else { 0 }, fraction: 0, rate: 0 }
             }
             Self::Ramp { rate, limit } => ramp(*rate, *limit, elapsed_us),
             Self::Path { start, way_points } => path(*start, way_points, elapsed_us),
@@ -128,11 +130,21 @@ fn saturated(value: i64) -> i32 {
     value.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
 }
 
+/// What lies between a position in 2^-30 counts and its whole counts, less than one away, in 1/128.
+fn fraction(exact: i64, whole: i64) -> i8 {
+    (exact.wrapping_sub(whole << 30) / (1 << 23)) as i8
+}
+
 fn ramp(rate: i32, limit: u32, elapsed_us: u64) -> Target {
-    let travelled = u64::from(rate.unsigned_abs()).saturating_mul(elapsed_us) / 1_000_000;
-    let done = travelled >= u64::from(limit);
-    let distance = travelled.min(u64::from(limit)) as i64;
-    Target { position: saturated(distance * i64::from(rate.signum())), rate: if done { 0 } else { rate } }
+    let travelled = u64::from(rate.unsigned_abs()).saturating_mul(elapsed_us);
+    let done = travelled / 1_000_000 >= u64::from(limit);
+    let distance = (travelled / 1_000_000).min(u64::from(limit)) as i64;
+    let fraction = if done { 0 } else { (travelled % 1_000_000 * 128 / 1_000_000) as i32 * rate.signum() };
+    Target {
+        position: saturated(distance * i64::from(rate.signum())),
+        fraction: fraction as i8,
+        rate: if done { 0 } else { rate },
+    }
 }
 
 /// 2^64 / (2π·10^12) × 10^4: what one (µrad/s)·µs adds to a phase of 2^64 a turn, scaled to keep its digits.
@@ -144,12 +156,13 @@ fn sine(amplitude: i32, omega_urad_s: u32, elapsed_us: u64) -> Target {
     let increment = omega * PHASE_PER_URAD_S_US_1E4 / 10_000;
     let phase = increment.wrapping_mul(elapsed_us);
     let amplitude_wide = i64::from(amplitude);
-    let position = amplitude_wide * sin_q30(phase) / (1 << 30);
+    let exact = amplitude_wide * sin_q30(phase);
+    let position = exact / (1 << 30);
     let cosine = sin_q30(phase.wrapping_add(1 << 62));
     // Three factors overflow 64 bits: the peak rate first, in counts/s.
     let peak_rate = saturated(amplitude_wide * omega as i64 / 1_000_000);
     let rate = i64::from(peak_rate) * cosine / (1 << 30);
-    Target { position: saturated(position), rate: saturated(rate) }
+    Target { position: saturated(position), fraction: fraction(exact, position), rate: saturated(rate) }
 }
 
 /// `sin(2π·phase/2^64)` in Q30, to 4e-9: the odd polynomial of degree 9 that fits `sin(x·π/2)` on [0, 1] in the
@@ -180,7 +193,7 @@ fn path(start: i32, way_points: &[WayPoint], elapsed_us: u64) -> Target {
         }
         (from, begin) = (point.position, end);
     }
-    Target { position: from, rate: 0 }
+    Target { position: from, fraction: 0, rate: 0 }
 }
 
 /// `s(τ) = 10τ³ - 15τ⁴ + 6τ⁵`, the quintic with zero velocity and acceleration at both ends (thesis A.8.1 with V = A = 0).
@@ -194,10 +207,11 @@ fn quintic(from: i32, to: i32, elapsed_us: u32, duration_us: u32) -> Target {
     let rest = (1 << 30) - tau;
     let slope = 30 * times(square, times(rest, rest));
     let distance = i64::from(to) - i64::from(from);
-    let rounded = (distance * shape + (1 << 29)) >> 30;
+    let exact = distance * shape;
+    let rounded = (exact + (1 << 29)) >> 30;
     // Q30 slope over the duration: through counts/s·µs, to stay inside 64 bits for moves below 2^25 counts.
     let rate = ((distance * slope) >> 30) * 1_000_000 / i64::from(duration_us.max(1));
-    Target { position: saturated(i64::from(from) + rounded), rate: saturated(rate) }
+    Target { position: saturated(i64::from(from) + rounded), fraction: fraction(exact, rounded), rate: saturated(rate) }
 }
 
 #[cfg(test)]
@@ -253,11 +267,11 @@ mod tests {
         .unwrap();
         let path = Reference::Path { start: 20, way_points };
         assert_eq!(path.validate(), Ok(()));
-        assert_eq!(path.at(0), Target { position: 20, rate: 0 });
-        assert_eq!(path.at(3_000_000), Target { position: 100, rate: 0 });
-        assert_eq!(path.at(6_000_000), Target { position: 100, rate: 0 });
-        assert_eq!(path.at(11_000_000), Target { position: -50, rate: 0 });
-        assert_eq!(path.at(1_500_000), Target { position: 60, rate: 50 });
+        assert_eq!(path.at(0), Target { position: 20, fraction: 0, rate: 0 });
+        assert_eq!(path.at(3_000_000), Target { position: 100, fraction: 0, rate: 0 });
+        assert_eq!(path.at(6_000_000), Target { position: 100, fraction: 0, rate: 0 });
+        assert_eq!(path.at(11_000_000), Target { position: -50, fraction: 0, rate: 0 });
+        assert_eq!(path.at(1_500_000), Target { position: 60, fraction: 0, rate: 50 });
     }
 
     /// Fails when a way point is still under way at the instant at which it is reached (`<=` for `<` in `path`): one that
@@ -283,9 +297,25 @@ mod tests {
         let step = Reference::Step { position: -7, at_us: 1000 };
         assert_eq!((step.at(999).position, step.at(1000).position), (0, -7));
         let ramp = Reference::Ramp { rate: -100, limit: 50 };
-        assert_eq!(ramp.at(250_000), Target { position: -25, rate: -100 });
-        assert_eq!(ramp.at(500_000), Target { position: -50, rate: 0 });
-        assert_eq!(ramp.at(9_000_000), Target { position: -50, rate: 0 });
+        assert_eq!(ramp.at(250_000), Target { position: -25, fraction: 0, rate: -100 });
+        assert_eq!(ramp.at(500_000), Target { position: -50, fraction: 0, rate: 0 });
+        assert_eq!(ramp.at(9_000_000), Target { position: -50, fraction: 0, rate: 0 });
+    }
+
+    /// Fails when the whole counts and the fraction do not make the wanted position: a sign lost below zero, where both are cut
+    /// towards it.
+    #[test]
+    fn the_fraction_goes_on_where_whole_counts_end() {
+        let finely = |target: Target| f64::from(target.position) + f64::from(target.fraction) / 128.0;
+        let sine = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
+        let ramp = Reference::Ramp { rate: -33, limit: 100 };
+        for ms in 0..5_000u32 {
+            let (us, s) = (u64::from(ms) * 1_000, f64::from(ms) * 1e-3);
+            let exact = 89.0 * (1.257 * s).sin();
+            assert!((finely(sine.at(us)) - exact).abs() < 1.0 / 127.0, "sine at {s}");
+            let exact = (-33.0 * s).max(-100.0);
+            assert!((finely(ramp.at(us)) - exact).abs() < 1.0 / 127.0, "ramp at {s}");
+        }
     }
 
     #[test]
@@ -295,7 +325,7 @@ mod tests {
         assert_eq!(fast.validate(), Err(ReferenceError::Frequency));
         let fastest = Reference::Sine { amplitude: 1 << 24, omega_urad_s: 100_000_000 };
         assert_eq!(fastest.validate(), Ok(()));
-        assert_eq!(Reference::Ramp { rate: 0, limit: 9 }.at(1_000_000), Target { position: 0, rate: 0 });
+        assert_eq!(Reference::Ramp { rate: 0, limit: 9 }.at(1_000_000), Target { position: 0, fraction: 0, rate: 0 });
         assert_eq!(Reference::Path { start: 0, way_points: Vec::new() }.validate(), Err(ReferenceError::Empty));
         let jump = Vec::from_slice(&[WayPoint { position: 1, duration_us: 0 }]).unwrap();
         assert_eq!(Reference::Path { start: 0, way_points: jump }.validate(), Err(ReferenceError::NoTime(0)));
@@ -312,6 +342,8 @@ mod tests {
             let exact = f64::from(from) + f64::from(to - from) * shape;
             let ours = quintic(from, to, elapsed, duration_us);
             prop_assert!((f64::from(ours.position) - exact).abs() <= 0.6, "{} against {exact}", ours.position);
+            let finely = f64::from(ours.position) + f64::from(ours.fraction) / 128.0;
+            prop_assert!((finely - exact).abs() <= 0.02 + f64::from(to - from).abs() * 1e-8, "{finely} against {exact}");
             let rate = f64::from(to - from) * 30.0 * (tau * (1.0 - tau)).powi(2) * 1e6 / f64::from(duration_us);
             prop_assert!((f64::from(ours.rate) - rate).abs() <= 1.1 + 1e6 / f64::from(duration_us) + rate.abs() * 1e-6);
         }

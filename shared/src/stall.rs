@@ -11,6 +11,7 @@
 
 use crate::Duty;
 use crate::message::Configuration;
+use crate::step::DriveLaw;
 
 /// The default budget is 250 ms of full drive, in which the identified motor, at 35 rpm, makes 7/48 of a turn.
 const BUDGET_TURNS: (u64, u64) = (7, 48);
@@ -54,7 +55,13 @@ impl Rules {
     fn new(configuration: &Configuration) -> Self {
         let (limits, per_turn) = (&configuration.limits, configuration.edges_per_rev);
         let period_us = u64::from(configuration.control.period_us).max(1);
-        let pwm_hz = u64::from(configuration.pwm_hz.max(HELD_AGAINST_HZ));
+        // A gated drive goes on until the rotor is where it is to be; of a pulse that a motor does follow, half may go into the start.
+        let pwm_hz = match configuration.control.law {
+            DriveLaw::Gated => u64::from(2 * HELD_AGAINST_HZ),
+            DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => {
+                u64::from(configuration.pwm_hz.max(HELD_AGAINST_HZ))
+            }
+        };
         // Duty times µs.
         let budget = u64::from(limits.stall_duty) * u64::from(limits.stall_ms) * 1_000;
         let (turns, of) = BUDGET_TURNS;

@@ -1,13 +1,16 @@
 //! The one pure control step: target and position in, signed drive out, integers only.
 //!
-//! Two named configurations exist. [`ConfigSpec::THESIS`] is the arithmetic of the thesis's position controller
-//! (appendix C.2), quirks included; [`ConfigSpec::DEFAULT`] is what this project recommends. Both run through the same
-//! [`step`], and so does anything a user configures.
+//! Three named configurations exist. [`ConfigSpec::THESIS`] is the arithmetic of the thesis's position controller
+//! (appendix C.2), quirks included; [`ConfigSpec::DEFAULT`] is what this project recommends; [`ConfigSpec::GATED`] knows its
+//! motor and is an order better, where the driver board follows pulses of a millisecond. All run through the same [`step`],
+//! and so does anything a user configures.
 
+mod gated;
 mod reversal;
 
 use crate::{Direction, Duty};
 use fixed::types::{I16F48, I32F32};
+pub use gated::Rotor;
 pub use reversal::Reversal;
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +22,9 @@ pub enum DriveLaw {
     ActiveLowTruncated,
     /// On time is `|u|` rounded to the nearest step, zero is off, and the direction only changes with drive.
     OnTimeRounded,
+    /// On or off for a whole control period, by a model of the rotor instead of gains: the PWM period must be the control
+    /// period.
+    Gated,
 }
 
 /// A controller as it travels and is stored: not yet validated. [`Config::try_from`] validates it.
@@ -50,6 +56,14 @@ pub struct ConfigSpec {
     pub reversal_rest_ticks: u16,
     /// It changes after so many ticks with the drive off at the latest, edges or not.
     pub reversal_limit_ticks: u16,
+    /// Speed at full drive, counts/s, for a law that has a model of the rotor; it adapts to what it sees, within limits.
+    pub full_speed_counts_s: u16,
+    /// Speed lost with the drive off, counts/s². It adapts too.
+    pub braking_counts_s2: u32,
+    /// Control periods between a decision and its effect on the rotor.
+    pub delay_ticks: u8,
+    /// Shortest pulse, and shortest rest, that the driver board follows, control periods.
+    pub shortest_pulse_ticks: u8,
 }
 
 impl ConfigSpec {
@@ -69,6 +83,10 @@ impl ConfigSpec {
         conditional_integration: false,
         reversal_rest_ticks: 0,
         reversal_limit_ticks: 0,
+        full_speed_counts_s: 0,
+        braking_counts_s2: 0,
+        delay_ticks: 0,
+        shortest_pulse_ticks: 0,
     };
 
     /// The recommended controller: finer duty, symmetric anti-windup, feed-forward of the target's rate, true off.
@@ -88,7 +106,52 @@ impl ConfigSpec {
         conditional_integration: true,
         reversal_rest_ticks: 0,
         reversal_limit_ticks: 0,
+        full_speed_counts_s: 0,
+        braking_counts_s2: 0,
+        delay_ticks: 0,
+        shortest_pulse_ticks: 0,
     };
+
+    /// The 30 mm PCBMotor under a drive that is gated every control period, with pulses of 1 ms and more: 35 rpm at full drive,
+    /// and the braking that the thesis's closed loop shows of the real motor (`twum model braking`). Between a decision
+    /// and the rotor lie a PWM period and what the wave takes to grow. The direction changes 10 ms after the last edge, by when
+    /// this rotor stands.
+    pub const GATED: Self = Self {
+        kp: I32F32::ZERO,
+        ki_tick: I16F48::ZERO,
+        feed_forward: I32F32::ZERO,
+        integral_min: 0,
+        integral_max: 0,
+        law: DriveLaw::Gated,
+        conditional_integration: false,
+        reversal_rest_ticks: 20,
+        reversal_limit_ticks: 100,
+        full_speed_counts_s: 234,
+        braking_counts_s2: 16_400,
+        delay_ticks: 2,
+        shortest_pulse_ticks: 2,
+        ..Self::DEFAULT
+    };
+}
+
+impl ConfigSpec {
+    /// The controllers that have a name.
+    pub const NAMED: [(&'static str, Self); 3] =
+        [("thesis", Self::THESIS), ("default", Self::DEFAULT), ("gated", Self::GATED)];
+
+    /// The controller of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::NAMED.into_iter().find(|(known, _)| *known == name).map(|(_, spec)| spec)
+    }
+
+    /// The PWM frequency that goes with the law, Hz: the thesis's, or one period for each tick of a gated drive.
+    pub const fn pwm_hz(&self) -> u16 {
+        match self.law {
+            DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => 50,
+            DriveLaw::Gated if self.period_us < 100 => 10_000,
+            DriveLaw::Gated => (1_000_000 / self.period_us) as u16,
+        }
+    }
 }
 
 /// Why a configuration cannot run.
@@ -109,6 +172,12 @@ pub enum ConfigError {
     /// A rest that the limit of the wait would never let come.
     #[error("reversal_rest_ticks must not be above reversal_limit_ticks")]
     Reversal,
+    /// A model of the rotor that fixed point cannot hold.
+    #[error(
+        "a gated drive needs full_speed_counts_s up to 8 counts a tick, a braking that it has some ticks to bear, \
+         delay_ticks up to 8, shortest_pulse_ticks 1 to 40 and reversal_rest_ticks above 0"
+    )]
+    Rotor,
 }
 
 /// Names a gain in an error.
@@ -139,6 +208,9 @@ impl core::fmt::Display for GainName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     spec: ConfigSpec,
+    model: gated::Model,
+    /// A count/s in counts a tick, 2^-32.
+    rate_of_one: u32,
 }
 
 impl Config {
@@ -185,7 +257,13 @@ impl TryFrom<ConfigSpec> for Config {
         if spec.reversal_rest_ticks > spec.reversal_limit_ticks {
             return Err(ConfigError::Reversal);
         }
-        Ok(Self { spec })
+        let model = match spec.law {
+            DriveLaw::Gated => gated::Model::of(&spec).ok_or(ConfigError::Rotor)?,
+            DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => gated::Model::default(),
+        };
+        // At most 10 000 µs: below 2^26.
+        let rate_of_one = ((u64::from(spec.period_us) << 32) / 1_000_000) as u32;
+        Ok(Self { spec, model, rate_of_one })
     }
 }
 
@@ -200,11 +278,19 @@ pub struct State {
     pub direction: Direction,
     /// What a change of the direction waits for, where the controller waits.
     pub reversal: Reversal,
+    /// Where a law that has a model of the rotor believes it to be.
+    pub rotor: Rotor,
 }
 
 impl State {
     /// A controller that has seen nothing.
-    pub const REST: Self = Self { integral: 0, previous_error: 0, direction: Direction::Ccw, reversal: Reversal::REST };
+    pub const REST: Self = Self {
+        integral: 0,
+        previous_error: 0,
+        direction: Direction::Ccw,
+        reversal: Reversal::REST,
+        rotor: Rotor::REST,
+    };
 }
 
 /// What a tick sees.
@@ -216,6 +302,10 @@ pub struct Inputs {
     pub target_rate: i32,
     /// Measured position, counts.
     pub position: i32,
+    /// What the wanted position lies beyond its whole counts, 1/128 count.
+    pub target_fraction: i8,
+    /// How long ago the last edge came, µs; at its limit for one that is older.
+    pub edge_age_us: u16,
 }
 
 /// What a tick decides.
@@ -244,6 +334,9 @@ impl Outputs {
 #[inline]
 pub fn step(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
     let spec = &config.spec;
+    if spec.law == DriveLaw::Gated {
+        return gated::gated(config, state, &inputs);
+    }
     let error = inputs.target.saturating_sub(inputs.position).clamp(-ERROR_LIMIT, ERROR_LIMIT);
     let difference = error - state.previous_error.clamp(-ERROR_LIMIT, ERROR_LIMIT);
     state.previous_error = error;
@@ -282,7 +375,7 @@ pub fn step(config: &Config, state: &mut State, inputs: Inputs) -> Outputs {
     // cutting the high time makes it, and one step more is the one that the thesis leaves on.
     let bias = match spec.law {
         DriveLaw::ActiveLowTruncated => (2 << 24) - 1,
-        DriveLaw::OnTimeRounded => 1 << 23,
+        DriveLaw::OnTimeRounded | DriveLaw::Gated => 1 << 23,
     };
     let on = if u < 0 { bias - u } else { bias + u };
     // |u| stays below 2^55, so its whole steps fit 32 bits.

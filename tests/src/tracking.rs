@@ -97,7 +97,7 @@ fn sine(
         .map(|tick| {
             let time_us = tick * TICK_US;
             let target = (amplitude * (omega * time_us as f64 * 1e-6).sin()).trunc() as i32;
-            let out = step(&config, &mut control, Inputs { target, target_rate: 0, position });
+            let out = step(&config, &mut control, Inputs { target, position, ..Inputs::default() });
             let made = (f64::from(out.u) / 65_536.0, f64::from(out.on_steps) / steps, out.direction.sign());
             late.push_back(made);
             let (u, duty, direction) = late.pop_front().unwrap_or(made);

@@ -12,9 +12,9 @@ use twum_shared::step::{Inputs, Outputs, State};
 const BIT_PERIOD_US: u64 = 1_000;
 /// What a tick saw, the controller's state before it, and what it decided.
 pub(super) type Step = (Inputs, State, Outputs);
-/// Shortest period at which every tick fits the link: a tick takes 18 bytes, 20 with its share of a block's head, of the 92 160
+/// Shortest period at which every tick fits the link: a tick takes 22 bytes, 26 with its share of a block's head, of the 92 160
 /// a second of 921 600 baud, a fifth of which is left to the other streams.
-const SHORTEST_WHOLE_US: u32 = 272;
+const SHORTEST_WHOLE_US: u32 = 353;
 const THINNED: &str = "the link cannot carry every control tick at this period: whole blocks of 16 are left out";
 
 /// One block of so many is sent.

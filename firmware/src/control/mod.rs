@@ -14,7 +14,7 @@ use crate::shared::{Command, DriverRequest, Event, Shared};
 use alignment::Alignment;
 use capture::Capture;
 use monitor::Monitor;
-use run::{Run, Running};
+use run::{Run, Running, Tick};
 use safety::Lost;
 use session::Passes;
 use status::Timing;
@@ -101,6 +101,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
     pub fn tick(&mut self, due_us: u64, now_us: u64, level: bool, clock: impl FnOnce() -> u64) {
         let late_us = now_us.saturating_sub(due_us);
         let position = self.shared.encoder.count();
+        let edge_age_us = self.shared.encoder.edge_age_us(now_us);
         self.timing.ticks += 1;
         self.shared.ticked();
 
@@ -114,7 +115,7 @@ impl<'a, S: OutputStage> Control<'a, S> {
                 self.obey(command, now_us, position);
             }
         }
-        self.drive(due_us, now_us, late_us, position);
+        self.drive(Tick { due_us, now_us, late_us, position, edge_age_us });
         self.capture_bit(due_us, level);
         self.publish(now_us, position);
 
@@ -168,6 +169,9 @@ impl<'a, S: OutputStage> Control<'a, S> {
             HostMessage::Track { pass, run } => {
                 self.require(Mode::Armed)?;
                 run.reference.validate().map_err(Refusal::Reference)?;
+                if self.configured.as_ref().is_some_and(|configured| !configured.message.pwm_fits()) {
+                    return Err(Refusal::Pwm);
+                }
                 self.begin_run(pass, run.duration_ms, Run::Track { run, state: State::REST, origin: position })
             }
             // The last three do not come here: the receive task answers a keepalive and a stop, `obey` a hello.

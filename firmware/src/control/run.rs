@@ -17,6 +17,16 @@ pub(super) enum Run {
     Track { run: TrackRun, state: State, origin: i32 },
 }
 
+/// A control period: when it was due and began, and what the encoder showed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tick {
+    pub due_us: u64,
+    pub now_us: u64,
+    pub late_us: u64,
+    pub position: i32,
+    pub edge_age_us: u16,
+}
+
 /// A run in progress.
 #[derive(Debug)]
 pub(super) struct Running {
@@ -62,7 +72,7 @@ impl<S: OutputStage> Control<'_, S> {
             Run::Speed(run) => (run.duty, run.direction),
             Run::Track { run, .. } => {
                 let target = run.reference.at(0);
-                let inputs = Inputs { target: target.position, target_rate: target.rate, position: 0 };
+                let inputs = Inputs { target: target.position, target_rate: target.rate, ..Inputs::default() };
                 let outputs = step::step(&configured.config, &mut State::REST.clone(), inputs);
                 (outputs.duty(&configured.config), outputs.direction)
             }
@@ -82,7 +92,8 @@ impl<S: OutputStage> Control<'_, S> {
     }
 
     /// The run's next control period.
-    pub(super) fn drive(&mut self, due_us: u64, now_us: u64, late_us: u64, position: i32) {
+    pub(super) fn drive(&mut self, seen: Tick) {
+        let Tick { due_us, now_us, late_us, position, edge_age_us } = seen;
         let (Some(running), Some(configured)) = (&mut self.running, &self.configured) else { return };
         let Some(start_us) = running.start_us else {
             self.prepare();
@@ -104,7 +115,9 @@ impl<S: OutputStage> Control<'_, S> {
                 let inputs = Inputs {
                     target: target.position,
                     target_rate: target.rate,
+                    target_fraction: target.fraction,
                     position: position.wrapping_sub(*origin),
+                    edge_age_us,
                 };
                 let before = *state;
                 let outputs = step::step(&configured.config, state, inputs);

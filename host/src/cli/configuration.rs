@@ -3,7 +3,7 @@
 use super::{defaults, units};
 use anyhow::{Context, Result};
 use std::path::PathBuf;
-use twum_host::configuration::{controller, overlay_only_limits, validate};
+use twum_host::configuration::{choose, controller, overlay_only_limits, validate};
 use twum_host::input;
 use twum_shared::encoder::CountSign;
 use twum_shared::message::Configuration;
@@ -13,7 +13,7 @@ use twum_shared::safety::Limits;
 /// without a configuration gets the default.
 #[derive(Debug, clap::Args)]
 pub struct ConfigurationArgs {
-    /// Controller: `thesis`, `default`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains [default: your
+    /// Controller: `thesis`, `default`, `gated`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains [default: your
     /// own, or the board's]
     #[arg(long)]
     control: Option<String>,
@@ -66,7 +66,7 @@ impl ConfigurationArgs {
             configuration = overlay_only_limits(&configuration, &text).with_context(|| file.display().to_string())?;
         }
         if let Some(control) = self.control.as_ref().or(own.control.as_ref()) {
-            configuration.control = controller(control)?;
+            choose(&mut configuration, controller(control)?);
         }
         configuration.edges_per_rev = self.edges_per_rev.or(own.edges_per_rev).unwrap_or(configuration.edges_per_rev);
         configuration.pwm_hz = self.pwm_hz.or(own.pwm_hz).unwrap_or(configuration.pwm_hz);

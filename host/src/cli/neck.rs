@@ -85,9 +85,9 @@ struct RunArgs {
     /// Resolution of the sensor at each joint, edges a revolution
     #[arg(long, default_value_t = DEFAULT_EDGES_PER_REV)]
     edges_per_rev: u32,
-    /// PWM frequency, Hz
-    #[arg(long, default_value_t = 50.0)]
-    pwm_hz: f64,
+    /// PWM frequency, Hz [default: the controller's: 50, or one period a tick for a drive that is gated]
+    #[arg(long)]
+    pwm_hz: Option<f64>,
     /// Amplitude of the disturbance, ° (0 for none; the thesis does not state its own)
     #[arg(long, default_value_t = 5.0)]
     disturbance_deg: f64,
@@ -162,6 +162,7 @@ struct StudyArgs {
 enum ControlArg {
     Thesis,
     Default,
+    Gated,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -223,6 +224,7 @@ fn setup(args: &RunArgs) -> Result<Setup> {
     let flavour = args.flavour.get();
     let control = match (args.control, flavour) {
         (Some(ControlArg::Thesis), _) | (None, Flavour::Thesis) => Named::Thesis,
+        (Some(ControlArg::Gated), _) => Named::Gated,
         (Some(ControlArg::Default), _) | (None, Flavour::Physical | Flavour::Measured) => Named::Default,
     };
     let solver = match args.solver {
@@ -237,7 +239,7 @@ fn setup(args: &RunArgs) -> Result<Setup> {
         motor: JointMotor::load(&args.motor, flavour, solver)?,
         control,
         edges_per_rev: args.edges_per_rev,
-        pwm_hz: args.pwm_hz,
+        pwm_hz: args.pwm_hz.unwrap_or(f64::from(control.spec().pwm_hz())),
         disturbance: Disturbance {
             amplitude_deg: args.disturbance_deg,
             frequency_hz: args.disturbance_hz,

@@ -143,7 +143,7 @@ fn actuator(rows: &[ControlRow], spec: &ConfigSpec) -> ActuatorParity {
     let steps = f64::from(spec.duty_steps);
     let wanted_on = |u: f64| match spec.law {
         DriveLaw::ActiveLowTruncated => steps - (steps - 1.0 - u.abs()).max(0.0).trunc(),
-        DriveLaw::OnTimeRounded => u.abs().min(steps).round(),
+        DriveLaw::OnTimeRounded | DriveLaw::Gated => u.abs().min(steps).round(),
     };
     // The record holds u rounded: what the board computed with may lie to either side of a step or of zero.
     let off = |row: &ControlRow| {
@@ -153,7 +153,7 @@ fn actuator(rows: &[ControlRow], spec: &ConfigSpec) -> ActuatorParity {
     let wrong_direction = |row: &&ControlRow| {
         let known = match spec.law {
             DriveLaw::ActiveLowTruncated => row.u.abs() > RECORDED_U,
-            DriveLaw::OnTimeRounded => wanted_on(row.u) > 0.0,
+            DriveLaw::OnTimeRounded | DriveLaw::Gated => wanted_on(row.u) > 0.0,
         };
         known && (row.u > 0.0) != (row.direction == Direction::Cw)
     };

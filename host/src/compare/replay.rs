@@ -5,7 +5,7 @@ use crate::record::store::{Integrity, StoreError};
 use serde::Serialize;
 use std::path::Path;
 use twum_shared::message::{ControlBlock, ControlSample, DeviceMessage, HostMessage};
-use twum_shared::step::{self, Config, Inputs, State};
+use twum_shared::step::{self, Config, State};
 
 /// What one tick should have been and was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -36,6 +36,14 @@ pub enum Field {
     Integral,
     /// The error before a block, counts.
     PreviousError,
+    /// Where a model of the rotor believes it to be at the start of a block, 2^-20 count past its own.
+    Place,
+    /// The speed it believes, 2^-20 count a tick.
+    Speed,
+    /// Its speed at full drive, of either direction.
+    FullSpeed,
+    /// Its braking.
+    Braking,
 }
 
 /// What the check found.
@@ -231,8 +239,7 @@ impl Replay {
     }
 
     fn compare(&mut self, config: &Config, state: &mut State, tick: u64, time_us: u64, sample: &ControlSample) {
-        let ControlSample { target, target_rate, position, .. } = *sample;
-        let ours = step::step(config, state, Inputs { target, target_rate, position });
+        let ours = step::step(config, state, sample.inputs());
         self.report.checked += 1;
         let pairs = [
             (Field::ControlSignal, i64::from(ours.u), i64::from(sample.u)),
@@ -247,6 +254,11 @@ impl Replay {
         let pairs = [
             (Field::Integral, i64::from(state.integral), i64::from(block.state.integral)),
             (Field::PreviousError, i64::from(state.previous_error), i64::from(block.state.previous_error)),
+            (Field::Place, i64::from(state.rotor.place), i64::from(block.state.rotor.place)),
+            (Field::Speed, i64::from(state.rotor.speed), i64::from(block.state.rotor.speed)),
+            (Field::FullSpeed, i64::from(state.rotor.full_cw), i64::from(block.state.rotor.full_cw)),
+            (Field::FullSpeed, i64::from(state.rotor.full_ccw), i64::from(block.state.rotor.full_ccw)),
+            (Field::Braking, i64::from(state.rotor.braking), i64::from(block.state.rotor.braking)),
         ];
         self.note(tick, block.first_us, &pairs);
     }
@@ -273,7 +285,7 @@ mod tests {
     use super::*;
     use twum_shared::message::{BitsBlock, CaptureMode, Configuration, EdgesBlock, RunEnd, TrackRun};
     use twum_shared::reference::Reference;
-    use twum_shared::step::ConfigSpec;
+    use twum_shared::step::{ConfigSpec, Inputs};
 
     /// A run of three blocks, as a device sends it.
     fn blocks() -> Vec<ControlBlock> {
@@ -285,17 +297,8 @@ mod tests {
                 let samples = (0..16)
                     .map(|sample| {
                         let target = (index * 16 + sample) as i32;
-                        let out = step::step(&config, &mut state, Inputs { target, target_rate: 0, position: 0 });
-                        ControlSample {
-                            target,
-                            target_rate: 0,
-                            position: 0,
-                            u: out.u,
-                            on_steps: out.on_steps,
-                            direction: out.direction,
-                            late_us: 0,
-                            duration_us: 0,
-                        }
+                        let inputs = Inputs { target, ..Inputs::default() };
+                        ControlSample::new(inputs, step::step(&config, &mut state, inputs), 0, 0)
                     })
                     .collect();
                 ControlBlock { first_tick: index * 16, first_us: index * 8_000, state: before, samples }

@@ -19,7 +19,7 @@ pub struct Row {
 }
 
 /// Unit and bounds of every key; what the firmware's own checks refuse.
-const KEYS: [(&str, &str, &str); 30] = [
+const KEYS: [(&str, &str, &str); 34] = [
     ("count_sign", "", "positive or reversed"),
     ("edges_per_rev", "edges", "2 to 10000"),
     ("pwm_hz", "Hz", "10 to 2000"),
@@ -31,11 +31,15 @@ const KEYS: [(&str, &str, &str); 30] = [
     ("control.integral_max", "count\u{b7}tick", "at least 0; times ki_tick below 16384"),
     ("control.period_us", "\u{b5}s", "100 to 10000"),
     ("control.duty_steps", "steps", "2 to 32768"),
-    ("control.law", "", "active-low-truncated or on-time-rounded"),
+    ("control.law", "", "active-low-truncated, on-time-rounded or gated"),
     ("control.dead_band_counts", "counts", "at least 0"),
     ("control.conditional_integration", "", "true or false"),
     ("control.reversal_rest_ticks", "ticks", "at most reversal_limit_ticks"),
     ("control.reversal_limit_ticks", "ticks", "at least reversal_rest_ticks"),
+    ("control.full_speed_counts_s", "counts/s", "of a gated drive: up to 8 counts a tick"),
+    ("control.braking_counts_s2", "counts/s\u{b2}", "of a gated drive: above 0"),
+    ("control.delay_ticks", "ticks", "at most 8"),
+    ("control.shortest_pulse_ticks", "ticks", "of a gated drive: 1 to 40"),
     ("limits.command_timeout_ms", "ms", "1 to 2000"),
     ("limits.stall_duty", "1/32768", "1 to 32768"),
     ("limits.stall_ms", "ms", "1 to 2000"),

@@ -49,7 +49,8 @@ fn differences(errors: impl Iterator<Item = i32>) -> (u32, u32, i64) {
     let (config, mut state, mut doubles) = (thesis(), State::REST, Doubles::default());
     let (mut ticks, mut different, mut largest) = (0, 0, 0);
     for error in errors {
-        let ours = step(&config, &mut state, Inputs { target: error, target_rate: 0, position: 0 });
+        let ours =
+            step(&config, &mut state, Inputs { target: error, target_rate: 0, position: 0, ..Inputs::default() });
         let (theirs, _) = doubles.compute(error, 0);
         let distance = (i64::from(32 - ours.on_steps) - theirs).abs();
         ticks += 1;
@@ -115,7 +116,7 @@ fn a_dead_band_leaves_small_errors_alone_while_the_target_rests() {
     let config = Config::try_from(spec).unwrap();
     let on = |target, target_rate| {
         let mut state = State { direction: Direction::Cw, ..State::REST };
-        let out = step(&config, &mut state, Inputs { target, target_rate, position: 0 });
+        let out = step(&config, &mut state, Inputs { target, target_rate, position: 0, ..Inputs::default() });
         assert_eq!(state.integral == 0, out.u == 0, "what is left alone does not wind up either");
         out.on_steps
     };
@@ -129,7 +130,11 @@ fn the_targets_rate_is_fed_forward_up_to_its_limit() {
     let spec = ConfigSpec { duty_steps: 32_768, feed_forward: I32F32::lit("0.0625"), ..ConfigSpec::DEFAULT };
     let config = Config::try_from(spec).unwrap();
     let on = |target_rate| {
-        let out = step(&config, &mut State::REST.clone(), Inputs { target: 0, target_rate, position: 0 });
+        let out = step(
+            &config,
+            &mut State::REST.clone(),
+            Inputs { target: 0, target_rate, position: 0, ..Inputs::default() },
+        );
         (out.on_steps, out.direction)
     };
     assert_eq!((on(1_600), on(-1_600)), ((100, Direction::Cw), (100, Direction::Ccw)));
@@ -149,7 +154,7 @@ fn default_does_not_wind_up_while_saturated() {
     let config = Config::try_from(ConfigSpec::DEFAULT).unwrap();
     let mut state = State::REST;
     for _ in 0..if cfg!(miri) { 100 } else { 10_000 } {
-        step(&config, &mut state, Inputs { target: 1000, target_rate: 0, position: 0 });
+        step(&config, &mut state, Inputs { target: 1000, target_rate: 0, position: 0, ..Inputs::default() });
     }
     assert_eq!(state.integral, 0);
 }
@@ -161,7 +166,7 @@ fn the_integral_waits_only_while_the_drive_is_beyond_full() {
     let after = |ki_tick, target| {
         let spec = ConfigSpec { kp: I32F32::lit("16"), ki_tick, ..ConfigSpec::DEFAULT };
         let (config, mut state) = (Config::try_from(spec).unwrap(), State::REST);
-        let out = step(&config, &mut state, Inputs { target, target_rate: 0, position: 0 });
+        let out = step(&config, &mut state, Inputs { target, target_rate: 0, position: 0, ..Inputs::default() });
         (state.integral, out.u, out.on_steps)
     };
     // 64 counts at 16 steps are the 1024 of full drive; 65 are 1040.
@@ -184,7 +189,7 @@ fn the_integral_does_not_wait_for_a_saturation_that_is_not_the_errors() {
     let config = Config::try_from(ConfigSpec::DEFAULT).unwrap();
     let after = |integral, target, target_rate| {
         let mut state = State { integral, ..State::REST };
-        let out = step(&config, &mut state, Inputs { target, target_rate, position: 0 });
+        let out = step(&config, &mut state, Inputs { target, target_rate, position: 0, ..Inputs::default() });
         (state.integral, out.on_steps)
     };
     // 1000 counts/s feed 4000 steps forward, nearly four times full drive; the 5 counts take back 350.
@@ -200,7 +205,8 @@ fn one_law_rounds_the_on_time_and_the_other_cuts_the_high_time() {
     let on = |law, target| {
         let (kp, ki_tick, kd_tick) = (I32F32::lit("0.25"), I16F48::ZERO, I32F32::ZERO);
         let config = Config::try_from(ConfigSpec { kp, ki_tick, kd_tick, law, ..ConfigSpec::THESIS }).unwrap();
-        step(&config, &mut State::REST.clone(), Inputs { target, target_rate: 0, position: 0 }).on_steps
+        step(&config, &mut State::REST.clone(), Inputs { target, target_rate: 0, position: 0, ..Inputs::default() })
+            .on_steps
     };
     // Quarters of a step: 0, 0.25, 0.5, 0.75, 1, 1.25, 1.5.
     assert_eq!([0, 1, 2, 3, 4, 5, 6].map(|target| on(DriveLaw::OnTimeRounded, target)), [0, 0, 1, 1, 1, 1, 2]);
@@ -264,11 +270,12 @@ fn waits(rest: u16, limit: u16, every: usize) -> usize {
     let spec = ConfigSpec { reversal_rest_ticks: rest, reversal_limit_ticks: limit, ..ConfigSpec::DEFAULT };
     let (config, mut state) = (Config::try_from(spec).unwrap(), State { direction: Direction::Cw, ..State::REST });
     let mut position = 0;
-    step(&config, &mut state, Inputs { target: 5, target_rate: 0, position });
+    step(&config, &mut state, Inputs { target: 5, target_rate: 0, position, ..Inputs::default() });
     (1..1_000)
         .find(|tick| {
             position += i32::from(tick % every == 0);
-            step(&config, &mut state, Inputs { target: -50, target_rate: 0, position }).on_steps > 0
+            step(&config, &mut state, Inputs { target: -50, target_rate: 0, position, ..Inputs::default() }).on_steps
+                > 0
         })
         .unwrap()
         - 1
@@ -288,7 +295,11 @@ fn a_rotor_that_was_never_driven_is_driven_at_once_either_way() {
     let spec = ConfigSpec { reversal_rest_ticks: 50, reversal_limit_ticks: 100, ..ConfigSpec::DEFAULT };
     let config = Config::try_from(spec).unwrap();
     for target in [-9, 9] {
-        let out = step(&config, &mut State::REST.clone(), Inputs { target, target_rate: 0, position: 0 });
+        let out = step(
+            &config,
+            &mut State::REST.clone(),
+            Inputs { target, target_rate: 0, position: 0, ..Inputs::default() },
+        );
         assert!(out.on_steps > 0 && out.direction.sign() == target.signum());
     }
 }
@@ -333,6 +344,7 @@ prop_compose! {
             law: if truncated { DriveLaw::ActiveLowTruncated } else { DriveLaw::OnTimeRounded },
             dead_band_counts, conditional_integration,
             reversal_rest_ticks, reversal_limit_ticks: reversal_rest_ticks + wait,
+            ..ConfigSpec::DEFAULT
         }
     }
 }
@@ -348,9 +360,9 @@ proptest! {
         if let Ok(config) = Config::try_from(spec) {
             let mut state =
                 State { integral: state.0, previous_error: state.1, direction: Direction::from_pin(state.2),
-                    reversal: Reversal { rest_left: state.3, limit_left: state.4, position: 0 } };
+                    reversal: Reversal { rest_left: state.3, limit_left: state.4, position: 0 }, ..State::REST };
             for (target, target_rate, position) in inputs {
-                let out = step(&config, &mut state, Inputs { target, target_rate, position });
+                let out = step(&config, &mut state, Inputs { target, target_rate, position, ..Inputs::default() });
                 prop_assert!(out.on_steps <= spec.duty_steps);
                 prop_assert!((spec.integral_min..=spec.integral_max).contains(&state.integral) || out.on_steps == 0
                     || spec.conditional_integration);
@@ -378,7 +390,7 @@ proptest! {
                 position += target.signum();
                 still = 0;
             }
-            let out = step(&config, &mut state, Inputs { target: target / 10, target_rate: 0, position });
+            let out = step(&config, &mut state, Inputs { target: target / 10, target_rate: 0, position, ..Inputs::default() });
             if out.direction != pin {
                 prop_assert!(off >= rest, "off for {off} ticks of {rest}");
                 prop_assert!(still >= rest || off >= rest + wait, "{still} still, {off} off");
@@ -398,7 +410,7 @@ proptest! {
         };
         let (mut a, mut b) = (State { direction: Direction::Cw, ..State::REST }, State { direction: Direction::Cw, ..State::REST });
         for target in targets {
-            let inputs = Inputs { target, target_rate: 0, position: 0 };
+            let inputs = Inputs { target, ..Inputs::default() };
             prop_assert_eq!(step(&config(0), &mut a, inputs), step(&config(40), &mut b, inputs));
         }
     }
@@ -416,8 +428,8 @@ proptest! {
         let config = Config::try_from(ConfigSpec::DEFAULT).unwrap();
         let (mut a, mut b) = (State::REST, State { direction: Direction::Cw, ..State::REST });
         for (target, target_rate) in targets {
-            let x = step(&config, &mut a, Inputs { target, target_rate, position: 0 });
-            let y = step(&config, &mut b, Inputs { target: -target, target_rate: -target_rate, position: 0 });
+            let x = step(&config, &mut a, Inputs { target, target_rate, position: 0, ..Inputs::default() });
+            let y = step(&config, &mut b, Inputs { target: -target, target_rate: -target_rate, position: 0, ..Inputs::default() });
             prop_assert_eq!(x.on_steps, y.on_steps);
             prop_assert!(x.on_steps == 0 || x.direction != y.direction);
             prop_assert_eq!(a.integral, -b.integral);

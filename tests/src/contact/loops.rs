@@ -110,8 +110,7 @@ impl Law {
             law: if self.thesis { DriveLaw::ActiveLowTruncated } else { DriveLaw::OnTimeRounded },
             dead_band_counts: 0,
             conditional_integration: false,
-            reversal_rest_ticks: 0,
-            reversal_limit_ticks: 0,
+            ..ConfigSpec::DEFAULT
         };
         // The thesis's constants are exact as named, and not quite their decimals.
         let spec = if self.thesis && fault.gains == [1.0; 4] { named } else { spec };
@@ -309,7 +308,11 @@ fn run(motor: &Motor, law: &Law, fault: &Fault, edges: usize, k: usize, dice: &m
             positions.pop_front();
         }
         let mean = positions.iter().map(|p| f64::from(*p)).sum::<f64>() / positions.len() as f64;
-        let out = step(&config, &mut state, Inputs { target, target_rate: 0, position: mean.round() as i32 });
+        let out = step(
+            &config,
+            &mut state,
+            Inputs { target, target_rate: 0, position: mean.round() as i32, ..Inputs::default() },
+        );
         let duty = f64::from(out.on_steps) / f64::from(law.steps);
         late.push_back((f64::from(out.u) / 65_536.0, duty, out.direction.sign()));
         let (u, duty, direction) = late.pop_front().expect("one was just put in");

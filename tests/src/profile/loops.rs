@@ -216,7 +216,7 @@ fn one(motor: &Motor, named: &Named, wrong: &Wrong, edges: usize, k: usize, dice
     for tick in 0..TICKS {
         let t = (tick * TICK_US) as f64 * 1e-6;
         let target = (amplitude * ((rate * t).sin() + third * (3.0 * rate * t).sin())).round() as i32;
-        let out = step(&config, &mut state, Inputs { target, target_rate: 0, position: count });
+        let out = step(&config, &mut state, Inputs { target, target_rate: 0, position: count, ..Inputs::default() });
         made.push((f64::from(out.u) / 65_536.0, f64::from(out.on_steps) / steps, out.direction.sign()));
         let (u, duty, direction) = match (tick as usize).checked_sub(wrong.old_ticks) {
             Some(old) => made[old],

@@ -129,8 +129,7 @@ impl Law {
             law: DriveLaw::OnTimeRounded,
             dead_band_counts: 0,
             conditional_integration: false,
-            reversal_rest_ticks: 0,
-            reversal_limit_ticks: 0,
+            ..ConfigSpec::DEFAULT
         }
     }
 }
@@ -236,7 +235,11 @@ fn run(rotor: &Rotor, law: &Law, fault: &Fault, edges: u32, k: usize, seed: u64)
         let time_us = tick * 500;
         let t = time_us as f64 * 1e-6;
         let target = (a1 * (w1 * t).sin() + a2 * (w2 * t).sin()).trunc() as i32;
-        let out = step(&config, &mut control, Inputs { target, target_rate: 0, position: counter.position });
+        let out = step(
+            &config,
+            &mut control,
+            Inputs { target, target_rate: 0, position: counter.position, ..Inputs::default() },
+        );
         late.push_back((f64::from(out.u) / 65_536.0, f64::from(out.on_steps) / steps, out.direction.sign()));
         let (u, duty, direction) = late.pop_front().unwrap_or((0.0, 0.0, -1));
         ticks.push(Tick { time_us, target, position: counter.position, u, duty, direction });

@@ -79,7 +79,7 @@ fn any_control() -> impl Strategy<Value = ConfigSpec> {
     let reversal = prop_oneof![Just(0u16), 0u16..200];
     let rest = (any::<bool>(), 0u16..10, any::<bool>(), reversal);
     let spec = (gain.clone(), small, gain.clone(), gain, limit.clone(), limit, period_us, duty_steps, rest);
-    spec.prop_map(|(kp, ki, kd, ff, min, max, period_us, duty_steps, rest)| {
+    let spec = spec.prop_map(|(kp, ki, kd, ff, min, max, period_us, duty_steps, rest)| {
         let (truncated, dead_band_counts, conditional, reversal) = rest;
         ConfigSpec {
             kp: I32F32::from_bits(kp),
@@ -95,9 +95,26 @@ fn any_control() -> impl Strategy<Value = ConfigSpec> {
             conditional_integration: conditional,
             reversal_rest_ticks: reversal,
             reversal_limit_ticks: 2 * reversal,
+            ..ConfigSpec::DEFAULT
         }
+    });
+    prop_oneof![3 => spec, 1 => any_gated()].prop_filter("accepted", |spec| Config::try_from(*spec).is_ok())
+}
+
+/// Drives gated by a model of the rotor that need not be this one's, at the periods that a PWM has.
+fn any_gated() -> impl Strategy<Value = ConfigSpec> {
+    let period_us = prop_oneof![Just(500u32), Just(1_000), Just(2_000)];
+    let model = (1u16..2_000, 1u32..4_000_000, 0u8..=8, 1u8..=40);
+    (model, period_us, 1u16..200).prop_map(|((full, braking, delay, pulse), period_us, reversal)| ConfigSpec {
+        period_us,
+        full_speed_counts_s: full,
+        braking_counts_s2: braking,
+        delay_ticks: delay,
+        shortest_pulse_ticks: pulse,
+        reversal_rest_ticks: reversal,
+        reversal_limit_ticks: 2 * reversal,
+        ..ConfigSpec::GATED
     })
-    .prop_filter("accepted", |spec| Config::try_from(*spec).is_ok())
 }
 
 fn any_reference() -> impl Strategy<Value = Reference> {

@@ -14,6 +14,7 @@ use twum_host::sim::{Disturbance, FirstOrderMotor, Setup, SimulatedMotor};
 use twum_shared::Direction;
 use twum_shared::message::Mode;
 use twum_shared::safety::Limits;
+use twum_shared::step::DriveLaw;
 
 /// Nothing may turn farther than this unseen, degrees.
 const BOUND_DEG: f64 = 90.0;
@@ -232,7 +233,12 @@ fn a_motor_that_turns_is_no_stall_at_any_duty() {
 
 #[test]
 fn a_motor_that_is_tracked_with_a_sound_encoder_faults_with_neither_motor() {
-    for (name, run, rotor) in cases().into_iter().filter(|(_, run, _)| matches!(run, Run::Track(..))) {
+    // Pulses of 1 ms are none to a motor that takes 6 ms to start: a gated drive is not for it, and it is stopped.
+    let suits = |run: &Run, rotor: Rotor| match run {
+        Run::Track(spec, _) => spec.law != DriveLaw::Gated || rotor == Rotor::Identified,
+        Run::Duty(..) => false,
+    };
+    for (name, run, rotor) in cases().into_iter().filter(|(_, run, rotor)| suits(run, *rotor)) {
         for limits in [Limits::DEFAULT, rotor.known()] {
             runs_to_its_end(&name, &run, rotor, limits);
         }

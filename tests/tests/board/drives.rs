@@ -10,7 +10,7 @@ use twum_shared::{Direction, Duty};
 #[derive(Clone)]
 pub enum Run {
     Duty(u16, u16),
-    Track(ConfigSpec, Reference),
+    Track(Box<ConfigSpec>, Reference),
 }
 
 pub fn runs() -> Vec<(String, Run)> {
@@ -25,9 +25,9 @@ pub fn runs() -> Vec<(String, Run)> {
         ("step of 100 counts", Reference::Step { position: 100, at_us: 0 }),
         ("ramp of 5 counts/s", Reference::Ramp { rate: 5, limit: 1_000 }),
     ];
-    for (controller, spec) in [("thesis", ConfigSpec::THESIS), ("default", ConfigSpec::DEFAULT)] {
+    for (controller, spec) in ConfigSpec::NAMED {
         for (name, reference) in &references {
-            runs.push((format!("{name}, {controller} controller"), Run::Track(spec, reference.clone())));
+            runs.push((format!("{name}, {controller} controller"), Run::Track(Box::new(spec), reference.clone())));
         }
     }
     runs
@@ -38,7 +38,7 @@ impl Run {
     pub fn start(&self, bench: &mut Bench, limits: Limits, duration_ms: u32) {
         let spec = match self {
             Self::Duty(..) => ConfigSpec::DEFAULT,
-            Self::Track(spec, _) => *spec,
+            Self::Track(spec, _) => **spec,
         };
         let configuration = Configuration { limits, ..Configuration::with_control(spec) };
         bench.session.configure(configuration).expect("configuration");

@@ -105,13 +105,21 @@ pub fn run(program: &LoopProgram, plant: &mut impl Plant, effects: &EffectSet) -
     let mut pwm = Pwm::new(program.pwm_hz, 0.0, effects);
     let mut state = State::REST;
     let mut position = 0;
+    let mut edge_s = f64::NEG_INFINITY;
     let mut reversals = Reversals::default();
     let ticks = (program.end_s * 1e6 / period_us as f64).floor() as u64;
     let mut trace = Vec::with_capacity(ticks as usize);
     for tick in 0..ticks {
         let now_us = tick * period_us;
         let target = program.reference.at(now_us);
-        let inputs = Inputs { target: target.position, target_rate: target.rate, position };
+        let inputs = Inputs {
+            target: target.position,
+            target_rate: target.rate,
+            target_fraction: target.fraction,
+            position,
+            // A cast saturates.
+            edge_age_us: (now_us as f64 - edge_s * 1e6) as u16,
+        };
         let outputs = step(&config, &mut state, inputs);
         let duty = f64::from(outputs.on_steps) / f64::from(spec.duty_steps);
         late.push_back((duty, outputs.direction));
@@ -134,6 +142,7 @@ pub fn run(program: &LoopProgram, plant: &mut impl Plant, effects: &EffectSet) -
         pwm.advance(plant, until_s, &mut |segment| {
             encoder.watch(segment, &mut |edge| {
                 let sense = if program.true_sense { i32::from(edge.sense) } else { direction.sign() };
+                edge_s = edge.time_s;
                 position += sense + reversals.extra(sense, effects);
             });
         });

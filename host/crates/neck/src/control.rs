@@ -16,6 +16,8 @@ pub enum Named {
     Thesis,
     /// [`ConfigSpec::DEFAULT`].
     Default,
+    /// [`ConfigSpec::GATED`].
+    Gated,
 }
 
 impl Named {
@@ -24,6 +26,7 @@ impl Named {
         match self {
             Self::Thesis => ConfigSpec::THESIS,
             Self::Default => ConfigSpec::DEFAULT,
+            Self::Gated => ConfigSpec::GATED,
         }
     }
 }
@@ -46,6 +49,8 @@ pub fn at_resolution(spec: &ConfigSpec, edges_per_rev: u32) -> Result<Config, Co
         feed_forward: gain(spec.feed_forward),
         integral_min: limit(spec.integral_min),
         integral_max: limit(spec.integral_max),
+        full_speed_counts_s: (f64::from(spec.full_speed_counts_s) / scale).round() as u16,
+        braking_counts_s2: (f64::from(spec.braking_counts_s2) / scale).round() as u32,
         dead_band_counts: (f64::from(spec.dead_band_counts) / scale).round() as u16,
         ..*spec
     })
@@ -74,8 +79,8 @@ mod tests {
                 for tick in 0..10_000 {
                     let error = (12.0 * (f64::from(tick) * 1e-3).sin()).round() as i32;
                     let rate = (12.0 * (f64::from(tick) * 1e-3).cos()).round() as i32;
-                    let x = step(&coarse, &mut a, Inputs { target: error, target_rate: rate, position: 0 });
-                    let inputs = Inputs { target: error * finer, target_rate: rate * finer, position: 0 };
+                    let x = step(&coarse, &mut a, Inputs { target: error, target_rate: rate, ..Inputs::default() });
+                    let inputs = Inputs { target: error * finer, target_rate: rate * finer, ..Inputs::default() };
                     let y = step(&fine, &mut b, inputs);
                     assert!((x.u - y.u).abs() <= 2, "{finer} times finer, tick {tick}: {} against {}", x.u, y.u);
                 }

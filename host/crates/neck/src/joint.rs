@@ -65,12 +65,20 @@ impl Loop {
         let mut state = State::REST;
         let mut pwm = Pwm::new(common.pwm_hz, 0.0, effects);
         let tick_us = u64::from(common.config.spec().period_us);
+        let mut edges_before = self.start_phase;
         for tick in 0..ticks as u64 {
             let now_us = tick * tick_us;
             let deg = plant.position_rad().to_degrees() + self.disturbance.deg(self.joint, now_us as f64 * 1e-6);
             let target = self.reference.at(now_us);
-            let position = count(self.start_phase + deg * f64::from(common.edges_per_rev) / 360.0);
-            let inputs = Inputs { target: target.position, target_rate: target.rate, position };
+            let edges = self.start_phase + deg * f64::from(common.edges_per_rev) / 360.0;
+            let inputs = Inputs {
+                target: target.position,
+                target_rate: target.rate,
+                target_fraction: target.fraction,
+                position: count(edges),
+                edge_age_us: edge_age_us(edges_before, edges, tick_us),
+            };
+            edges_before = edges;
             let outputs = step(common.config, &mut state, inputs);
             let duty = f64::from(outputs.duty(common.config).raw()) / f64::from(Duty::FULL.raw());
             trace.deg.push(deg);
@@ -89,6 +97,16 @@ impl Loop {
 fn count(edges: f64) -> i32 {
     // The small share of an edge keeps a joint that stands on an edge from flickering with the last bit of a double.
     (edges + 1e-9).floor() as i32
+}
+
+/// How long before the end of a tick the last edge was crossed, µs, for a joint that moved evenly in it; without one, longer.
+fn edge_age_us(before: f64, now: f64, tick_us: u64) -> u16 {
+    let last = f64::from(count(now)) + if now < before { 1.0 } else { 0.0 };
+    if count(before) == count(now) {
+        return u16::MAX;
+    }
+    // A cast saturates.
+    ((now - last) / (now - before) * tick_us as f64) as u16
 }
 
 #[cfg(test)]

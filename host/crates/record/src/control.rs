@@ -6,7 +6,8 @@ use twum_shared::step::{Config, ConfigError, ConfigSpec, Inputs, State, step};
 impl ControlRow {
     /// What the controller saw in this tick. The target's rate (counts/s) is not in the row.
     pub fn inputs(&self, target_rate: i32) -> Inputs {
-        Inputs { target: self.target.round() as i32, target_rate, position: self.position.round() as i32 }
+        let (target, position) = (self.target.round() as i32, self.position.round() as i32);
+        Inputs { target, target_rate, position, ..Inputs::default() }
     }
 }
 

@@ -1,6 +1,6 @@
-//! Frames of recordings made with earlier protocol versions. The messages have only gained variants since, but for three things: in
-//! version 1 what the host said had no session and no pass, until version 2 a configuration did not say how slow a motor may be, and
-//! until version 3 no controller waited with a reversal.
+//! Frames of recordings made with earlier protocol versions. The messages have only gained variants since, but for four things: in
+//! version 1 what the host said had no session and no pass, until version 2 a configuration did not say how slow a motor may be,
+//! until version 3 no controller waited with a reversal, and until version 4 none had a model of its rotor.
 
 use fixed::types::{I16F48, I32F32};
 use serde::Deserialize;
@@ -10,7 +10,7 @@ use twum_shared::frame::{self, FrameError, Header, Opened, PROTOCOL_VERSION};
 use twum_shared::message::{BLOCK_SAMPLES, ControlBlock, ControlSample};
 use twum_shared::message::{CaptureMode, Configuration, DeviceMessage, HostMessage, Pass, SpeedRun, TrackRun};
 use twum_shared::safety::Limits;
-use twum_shared::step::{ConfigSpec, DriveLaw, State};
+use twum_shared::step::{ConfigSpec, DriveLaw, Reversal, State};
 
 /// A message that recordings hold.
 pub(super) trait Recorded: frame::Message {
@@ -22,6 +22,9 @@ pub(super) trait Recorded: frame::Message {
 
     /// The message of a frame of version 3.
     fn from_version_3(frame: &Opened<'_>) -> Option<Self>;
+
+    /// The message of a frame of version 4.
+    fn from_version_4(frame: &Opened<'_>) -> Option<Self>;
 }
 
 /// Place of [`DeviceMessage::Configured`], of [`DeviceMessage::Control`] and of [`HostMessage::Configure`] among their variants.
@@ -45,6 +48,14 @@ impl Recorded for DeviceMessage {
         match frame.body.first() {
             Some(&CONFIGURED) => frame.message().map(|(_, old): (u8, Configuration3)| Self::Configured(old.into())),
             Some(&CONTROL) => frame.message().map(|(_, old): (u8, ControlBlock3)| Self::Control(old.into())),
+            _ => Self::from_version_4(frame),
+        }
+    }
+
+    fn from_version_4(frame: &Opened<'_>) -> Option<Self> {
+        match frame.body.first() {
+            Some(&CONFIGURED) => frame.message().map(|(_, old): (u8, Configuration4)| Self::Configured(old.into())),
+            Some(&CONTROL) => frame.message().map(|(_, old): (u8, ControlBlock4)| Self::Control(old.into())),
             _ => frame.message(),
         }
     }
@@ -65,6 +76,13 @@ impl Recorded for HostMessage {
     fn from_version_3(frame: &Opened<'_>) -> Option<Self> {
         match frame.body.first() {
             Some(&CONFIGURE) => frame.message().map(|(_, old): (u8, Configuration3)| Self::Configure(old.into())),
+            _ => Self::from_version_4(frame),
+        }
+    }
+
+    fn from_version_4(frame: &Opened<'_>) -> Option<Self> {
+        match frame.body.first() {
+            Some(&CONFIGURE) => frame.message().map(|(_, old): (u8, Configuration4)| Self::Configure(old.into())),
             _ => frame.message(),
         }
     }
@@ -83,6 +101,7 @@ pub(super) fn decode<M: Recorded>(block: &mut [u8]) -> Result<(Header, M), Frame
         1 => M::from_version_1(&opened),
         2 => M::from_version_2(&opened),
         3 => M::from_version_3(&opened),
+        4 => M::from_version_4(&opened),
         PROTOCOL_VERSION => opened.message(),
         other => return Err(FrameError::Version(other)),
     };
@@ -158,6 +177,38 @@ impl From<Configuration3> for Configuration {
     }
 }
 
+/// A configuration of version 4.
+#[derive(Deserialize)]
+struct Configuration4 {
+    control: ConfigSpec4,
+    limits: Limits,
+    count_sign: CountSign,
+    edges_per_rev: u16,
+    pwm_hz: u16,
+}
+
+impl From<Configuration4> for Configuration {
+    fn from(old: Configuration4) -> Self {
+        let Configuration4 { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
+        Self { control: control.into(), limits, count_sign, edges_per_rev, pwm_hz }
+    }
+}
+
+/// A controller of version 4: it had no model of the rotor.
+#[derive(Deserialize)]
+struct ConfigSpec4 {
+    before: ConfigSpec3,
+    reversal_rest_ticks: u16,
+    reversal_limit_ticks: u16,
+}
+
+impl From<ConfigSpec4> for ConfigSpec {
+    fn from(old: ConfigSpec4) -> Self {
+        let ConfigSpec4 { before, reversal_rest_ticks, reversal_limit_ticks } = old;
+        Self { reversal_rest_ticks, reversal_limit_ticks, ..before.into() }
+    }
+}
+
 /// A controller until version 3: it reversed at once.
 #[derive(Deserialize)]
 struct ConfigSpec3 {
@@ -190,6 +241,10 @@ impl From<ConfigSpec3> for ConfigSpec {
             conditional_integration: old.conditional_integration,
             reversal_rest_ticks: 0,
             reversal_limit_ticks: 0,
+            full_speed_counts_s: 0,
+            braking_counts_s2: 0,
+            delay_ticks: 0,
+            shortest_pulse_ticks: 0,
         }
     }
 }
@@ -200,7 +255,7 @@ struct ControlBlock3 {
     first_tick: u64,
     first_us: u64,
     state: State3,
-    samples: heapless::Vec<ControlSample, BLOCK_SAMPLES>,
+    samples: heapless::Vec<ControlSample4, BLOCK_SAMPLES>,
 }
 
 #[derive(Deserialize)]
@@ -215,7 +270,62 @@ impl From<ControlBlock3> for ControlBlock {
         let ControlBlock3 { first_tick, first_us, state, samples } = old;
         let State3 { integral, previous_error, direction } = state;
         let state = State { integral, previous_error, direction, ..State::REST };
-        Self { first_tick, first_us, state, samples }
+        Self { first_tick, first_us, state, samples: samples.into_iter().map(Into::into).collect() }
+    }
+}
+
+/// Control ticks of version 4.
+#[derive(Deserialize)]
+struct ControlBlock4 {
+    first_tick: u64,
+    first_us: u64,
+    state: State4,
+    samples: heapless::Vec<ControlSample4, BLOCK_SAMPLES>,
+}
+
+#[derive(Deserialize)]
+struct State4 {
+    before: State3,
+    reversal: Reversal,
+}
+
+impl From<ControlBlock4> for ControlBlock {
+    fn from(old: ControlBlock4) -> Self {
+        let ControlBlock4 { first_tick, first_us, state: State4 { before, reversal }, samples } = old;
+        let State3 { integral, previous_error, direction } = before;
+        let state = State { integral, previous_error, direction, reversal, ..State::REST };
+        Self { first_tick, first_us, state, samples: samples.into_iter().map(Into::into).collect() }
+    }
+}
+
+/// A control tick until version 4: it did not say when the last edge came.
+#[derive(Deserialize)]
+struct ControlSample4 {
+    target: i32,
+    target_rate: i32,
+    position: i32,
+    u: i32,
+    on_steps: u16,
+    direction: Direction,
+    late_us: u16,
+    duration_us: u16,
+}
+
+impl From<ControlSample4> for ControlSample {
+    fn from(old: ControlSample4) -> Self {
+        let ControlSample4 { target, target_rate, position, u, on_steps, direction, late_us, duration_us } = old;
+        Self {
+            target,
+            target_rate,
+            position,
+            u,
+            on_steps,
+            direction,
+            late_us,
+            duration_us,
+            target_fraction: 0,
+            edge_age_us: u16::MAX,
+        }
     }
 }
 

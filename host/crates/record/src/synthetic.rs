@@ -80,23 +80,17 @@ pub fn control_blocks(spec: ConfigSpec, start_us: u64, blocks: u64) -> Vec<Contr
             let mut message = ControlBlock { first_tick, first_us, state, samples: Default::default() };
             for tick in first_tick..first_tick + BLOCK_SAMPLES as u64 {
                 let phase = 0.002 * tick as f64;
-                let inputs =
-                    Inputs { target: (60.0 * phase.sin()) as i32, target_rate: (240.0 * phase.cos()) as i32, position };
+                let inputs = Inputs {
+                    target: (60.0 * phase.sin()) as i32,
+                    target_rate: (240.0 * phase.cos()) as i32,
+                    position,
+                    ..Inputs::default()
+                };
                 let out = step(&config, &mut state, inputs);
                 if out.on_steps > 1 && tick % 3 == 0 {
                     position += out.direction.sign();
                 }
-                let sample = ControlSample {
-                    target: inputs.target,
-                    target_rate: inputs.target_rate,
-                    position: inputs.position,
-                    u: out.u,
-                    on_steps: out.on_steps,
-                    direction: out.direction,
-                    late_us: 2,
-                    duration_us: 7,
-                };
-                message.samples.push(sample).unwrap();
+                message.samples.push(ControlSample::new(inputs, out, 2, 7)).unwrap();
             }
             message
         })

@@ -21,7 +21,7 @@ use twum_shared::step::Config;
 pub struct Args {
     #[command(flatten)]
     common: Common,
-    /// Controller: `thesis`, `default`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains
+    /// Controller: `thesis`, `default`, `gated`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains
     #[arg(long, default_value = "thesis")]
     control: String,
     /// Amplitude of the sine (counts)
@@ -50,11 +50,12 @@ struct LoopAnswer {
 
 pub fn run(args: Args) -> Result<()> {
     let Args { common, control, amplitude, omega, true_sense, csv, existing } = args;
+    let spec = controller(&control).context("--control")?;
+    let common = Common { pwm_hz: common.pwm_hz.or(Some(f64::from(spec.pwm_hz()))), ..common };
     let setup = common.setup(1.0, 10.0)?;
     if let Some(path) = &csv {
         output::may_write(path, existing.into())?;
     }
-    let spec = controller(&control).context("--control")?;
     let reference = units::sine(amplitude, omega).context("--amplitude or --omega")?;
     let program = LoopProgram {
         config: Config::try_from(spec)?,

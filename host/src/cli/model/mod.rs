@@ -103,9 +103,9 @@ struct Common {
     /// Change a parameter; repeatable
     #[arg(long = "set", value_name = "NAME=VALUE")]
     set: Vec<String>,
-    /// PWM frequency (Hz)
-    #[arg(long, default_value_t = 50.0)]
-    pwm_hz: f64,
+    /// PWM frequency (Hz) [default: 50, and one period a tick for a loop whose drive is gated]
+    #[arg(long)]
+    pwm_hz: Option<f64>,
     /// Length of the run (s) [default: 1, and 10 for loop]
     #[arg(long)]
     seconds: Option<f64>,
@@ -142,7 +142,7 @@ impl Common {
             flavour,
             solver,
             duty,
-            pwm_hz: self.pwm_hz,
+            pwm_hz: self.pwm_hz.unwrap_or(50.0),
             seconds: self.seconds.unwrap_or(seconds),
         };
         setup.check()?;

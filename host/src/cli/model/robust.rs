@@ -18,12 +18,12 @@ pub struct Args {
     /// A shipped motor, or a motor file
     #[arg(long, default_value = "pcbmotor-30mm")]
     motor: String,
-    /// Controller: `thesis`, `default`, or a TOML file as for `twum track`; repeatable. A PWM frequency of its own: NAME@HZ
+    /// Controller: `thesis`, `default`, `gated`, or a TOML file as for `twum track`; repeatable. A PWM frequency of its own: NAME@HZ
     #[arg(long, default_values = ["thesis", "default"], value_name = "CONTROLLER")]
     control: Vec<String>,
-    /// PWM frequency (Hz)
-    #[arg(long, default_value_t = 50)]
-    pwm_hz: u16,
+    /// PWM frequency (Hz) [default: the controller's: 50, or one period a tick for a drive that is gated]
+    #[arg(long)]
+    pwm_hz: Option<u16>,
     /// Motors drawn, the same for every controller
     #[arg(long, default_value_t = 200)]
     draws: u64,
@@ -100,15 +100,16 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-fn candidate(name: &str, pwm_hz: u16) -> Result<Candidate> {
+fn candidate(name: &str, pwm_hz: Option<u16>) -> Result<Candidate> {
     let (of, pwm_hz) = match name.rsplit_once('@') {
-        Some((of, hz)) => (of, hz.parse().with_context(|| format!("--control {name}: `{hz}` is no frequency"))?),
+        Some((of, hz)) => (of, Some(hz.parse().with_context(|| format!("--control {name}: `{hz}` is no frequency"))?)),
         None => (name, pwm_hz),
     };
+    let config = Config::try_from(controller(of).context("--control")?)?;
+    let pwm_hz = pwm_hz.unwrap_or(config.spec().pwm_hz());
     if !(10..=2_000).contains(&pwm_hz) {
         bail!("--control {name}: a PWM frequency of {pwm_hz} Hz is outside 10 ..= 2000");
     }
-    let config = Config::try_from(controller(of).context("--control")?)?;
     Ok(Candidate { name: name.to_owned(), config, pwm_hz: f64::from(pwm_hz) })
 }
 

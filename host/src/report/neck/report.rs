@@ -162,6 +162,7 @@ impl Report {
             match s.control {
                 Named::Thesis => "thesis",
                 Named::Default => "default",
+                Named::Gated => "gated",
             },
             s.edges_per_rev,
             s.pwm_hz,

@@ -115,8 +115,7 @@ impl ControlGains {
             law: DriveLaw::OnTimeRounded,
             dead_band_counts: 0,
             conditional_integration: false,
-            reversal_rest_ticks: 0,
-            reversal_limit_ticks: 0,
+            ..ConfigSpec::DEFAULT
         })
     }
 }

@@ -1,0 +1,412 @@
+//! The drive gated tick by tick: a model of the rotor says when each pulse has to begin and to end.
+//!
+//! Duty is an average, and over a slow PWM period the rotor runs ahead of its target and waits for it. Here the drive is
+//! either on or off for a tick, and the question of every tick is where the rotor would come to rest, relative to the moving
+//! target, if it were switched off now. The encoder answers with whole counts only; between two edges [`Rotor`] goes on with
+//! what it knows of the motor, and each edge, with its time, puts it right.
+//!
+//! Angles are in 2^-20 count, speeds in that a tick; all fits 32 bits, for the speeds that [`Model::of`] lets pass. What is
+//! decided is measured by what full drive turns in a tick, so that it does not depend on the encoder.
+
+use super::{Config, ConfigSpec, Inputs, Outputs, State};
+use crate::Direction;
+use serde::{Deserialize, Serialize};
+
+/// A count, to 2^[`FINE`].
+const COUNT: i32 = 1 << FINE;
+const FINE: u32 = 20;
+/// Fastest rotor, 8 counts a tick: twice that still leaves room for the product with an edge's age.
+const FASTEST: i32 = 8 * COUNT;
+/// Longest delay, ticks: 4 ms at 500 µs. A motor farther behind is not led by pulses.
+const LONGEST_DELAY: u8 = 8;
+/// Longest pulse that may be asked for, ticks.
+const LONGEST_PULSE: u8 = 40;
+/// An overshoot by so many ticks of full drive is left to the target to catch up with: a shortest pulse the other way, and what
+/// the rotor runs on after it, would turn by as much.
+const REVERSES_TICKS: i32 = 4;
+/// Errors beyond this are counted so far only, counts.
+const FARTHEST: i32 = 512;
+
+/// What the controller is told of its motor, per tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Model {
+    /// Speed at full drive.
+    full: i32,
+    /// What the speed loses in a tick with the drive off.
+    braking: i32,
+}
+
+impl Model {
+    /// The model of a configuration; `None` where it leaves what 32 bits hold.
+    pub(super) fn of(spec: &ConfigSpec) -> Option<Self> {
+        let period = u64::from(spec.period_us);
+        let full = ((u64::from(spec.full_speed_counts_s) * period) << FINE) / 1_000_000;
+        // A period is at most 10 000 µs: in this order both products fit.
+        let braking = ((u64::from(spec.braking_counts_s2) * period * period / 1_000_000) << FINE) / 1_000_000;
+        let inside = (1 << 12..=FASTEST as u64).contains(&full) && (1 << 5..=full).contains(&braking);
+        let inside = inside
+            && spec.delay_ticks <= LONGEST_DELAY
+            && (1..=LONGEST_PULSE).contains(&spec.shortest_pulse_ticks)
+            && spec.reversal_rest_ticks > 0;
+        inside.then_some(Self { full: full as i32, braking: braking as i32 })
+    }
+
+    /// A speed at full drive as far as it may differ from the one told: by what motors, temperature, runout and load make of it.
+    fn about(&self, full: i32) -> i32 {
+        full.max(self.full / 2).min(self.full / 5 * 8)
+    }
+
+    /// A braking likewise: up to a rotor that stands at once, but not down to one that nothing brakes, whose way is not to be
+    /// foretold.
+    fn braked(&self, braking: i32) -> i32 {
+        braking.max(self.braking / 2).min(self.full)
+    }
+}
+
+/// Where the controller believes the rotor to be, and how the motor is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Rotor {
+    /// Count at the last tick.
+    pub count: i32,
+    /// Place past that count's edge, 2^-20 count.
+    pub place: i32,
+    /// Speed, 2^-20 count a tick.
+    pub speed: i32,
+    /// Speed at full drive, clockwise; zero before the first tick.
+    pub full_cw: i32,
+    /// Speed at full drive, counter-clockwise.
+    pub full_ccw: i32,
+    /// What the speed loses in a tick with the drive off.
+    pub braking: i32,
+    /// Drive on, decided so many ticks ago: bit by bit, the last tick's the lowest.
+    pub on: u16,
+    /// Clockwise, likewise.
+    pub cw: u16,
+    /// Ticks since the drive was last switched, up to the longest pulse.
+    pub held: u8,
+}
+
+impl Rotor {
+    /// Nothing seen yet: anywhere within its count.
+    pub const REST: Self =
+        Self { count: 0, place: COUNT / 2, speed: 0, full_cw: 0, full_ccw: 0, braking: 0, on: 0, cw: 0, held: u8::MAX };
+
+    /// Drive decided `ago` ticks before: +1, 0 or -1.
+    fn drive(&self, ago: u8) -> i32 {
+        match ((self.on >> ago) & 1, (self.cw >> ago) & 1) {
+            (0, _) => 0,
+            (_, 0) => -1,
+            _ => 1,
+        }
+    }
+
+    /// Place and speed after a tick in which the drive is that of `ago` ticks before. The wave, and the rotor with it, comes
+    /// up to 5/8 of what is missing in a tick, and takes a quarter of the speed back as it dies: the averaged model's own
+    /// course, at 500 µs. After that the rotor is braked by a constant friction.
+    #[inline(always)]
+    fn advanced(&self, place: i32, speed: i32, ago: u8) -> (i32, i32) {
+        let next = match (self.drive(ago), self.drive(ago + 1)) {
+            (0, before) => {
+                let left = if before != 0 { speed - speed / 4 } else { speed };
+                if left > 0 { (left - self.braking).max(0) } else { (left + self.braking).min(0) }
+            }
+            (on, _) => {
+                let wanted = if on > 0 { self.full_cw } else { -self.full_ccw };
+                speed + (wanted - speed) / 8 * 5
+            }
+        };
+        (place + (speed + next) / 2, next)
+    }
+
+    /// A tick later: what the model says, put right by the edges there were.
+    #[inline(always)]
+    fn sees(&mut self, config: &Config, inputs: &Inputs) {
+        let model = &config.model;
+        if self.full_cw == 0 {
+            (self.full_cw, self.full_ccw, self.braking) = (model.full, model.full, model.braking);
+            self.count = inputs.position;
+        }
+        // A state that was recorded may be anything.
+        self.place = self.place.clamp(0, COUNT);
+        self.speed = self.speed.clamp(-2 * FASTEST + 1, 2 * FASTEST - 1);
+        (self.full_cw, self.full_ccw) = (model.about(self.full_cw), model.about(self.full_ccw));
+        self.braking = model.braked(self.braking);
+        let delay = config.spec.delay_ticks;
+        let drive = self.drive(delay);
+        (self.place, self.speed) = self.advanced(self.place, self.speed, delay);
+
+        let edges = inputs.position.wrapping_sub(self.count);
+        self.count = inputs.position;
+        if edges != 0 {
+            let edge = if edges > 0 { 0 } else { COUNT };
+            let age_us = u32::from(inputs.edge_age_us).min(config.spec.period_us) as i32;
+            let since = (self.speed >> 8) * age_us / (config.spec.period_us as i32).max(1) * 256;
+            if edges.unsigned_abs() <= FARTHEST.unsigned_abs() {
+                self.learns(model, drive, edge + edges * COUNT - (self.place - since));
+            }
+            self.place = edge + since;
+        }
+        // No edge is an answer too: the rotor is still within its count.
+        let inside = self.place.clamp(0, COUNT);
+        let short = inside - self.place;
+        if short != 0 {
+            self.place = inside;
+            if (short < 0) == (self.speed > 0) {
+                self.speed -= self.speed / 8;
+                self.learns(model, drive, short);
+            }
+        }
+    }
+
+    /// Corrects what the rotor's last stretch depended on: by `error`, how much farther it is than foretold.
+    #[inline(always)]
+    fn learns(&mut self, model: &Model, drive: i32, error: i32) {
+        // A jump by more is no motion of this rotor: a count's worth at the encoder it is meant for.
+        let error = error.max(-8 * model.full).min(8 * model.full);
+        match drive {
+            // A rotor that is a tenth faster than believed is learnt within 50 ticks of drive.
+            1 => self.full_cw = model.about(self.full_cw + error / 512),
+            -1 => self.full_ccw = model.about(self.full_ccw - error / 512),
+            _ => {
+                // The same share of the braking for each tick of full drive that the rotor went too far, or not far enough.
+                let share = (i64::from(self.braking) * i64::from(error / (model.full / 64)) / (64 * 64)) as i32;
+                self.braking = model.braked(self.braking + if self.speed > 0 { -share } else { share });
+            }
+        }
+    }
+
+    /// How far the rotor goes on before it has come to the speed `rate`, relative to what moves at that rate.
+    #[inline(always)]
+    fn runs_on(&self, speed: i32, rate: i32) -> i32 {
+        let left = if self.on & 1 == 1 { speed - speed / 4 } else { speed };
+        let over = (left - rate).clamp(-2 * FASTEST + 1, 2 * FASTEST - 1);
+        // Speed squared over twice the braking, in 32 bits: 2·(20 - 9) bits over 20 - 4, and what is missing to 20 less the half.
+        let square = (over.unsigned_abs() >> 9).pow(2);
+        let way = ((square / (self.braking.unsigned_abs() >> 4).max(1)).min(1 << 14) << 13) as i32;
+        if over < 0 { -way } else { way }
+    }
+}
+
+/// One tick of a controller that gates the drive.
+#[inline(always)]
+pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outputs {
+    let spec = &config.spec;
+    let rotor = &mut state.rotor;
+    rotor.sees(config, inputs);
+
+    // What is under way when this tick's decision comes to bear, there and at the target.
+    let (mut place, mut speed) = (rotor.place, rotor.speed);
+    for ago in (0..spec.delay_ticks).rev() {
+        (place, speed) = rotor.advanced(place, speed, ago);
+    }
+    let rate = ((i64::from(inputs.target_rate) * i64::from(config.rate_of_one)) >> (32 - FINE)) as i32;
+    let rate = rate.clamp(-2 * FASTEST, 2 * FASTEST);
+    let counts = inputs.target.saturating_sub(inputs.position).clamp(-FARTHEST, FARTHEST);
+    let target =
+        counts * COUNT + i32::from(inputs.target_fraction) * (COUNT / 128) + rate * i32::from(spec.delay_ticks);
+    let short = target.saturating_sub(place).saturating_sub(rotor.runs_on(speed, rate));
+
+    let along = if state.direction == Direction::Cw { short } else { short.saturating_neg() };
+    let was_on = rotor.on & 1 == 1;
+    let mut on = if rotor.held < spec.shortest_pulse_ticks {
+        was_on
+    } else if was_on {
+        along >= -config.model.full / 2
+    } else {
+        along > config.model.full / 2
+    };
+    if !on {
+        let may = state.reversal.waits(spec, inputs.position);
+        if along < -REVERSES_TICKS * config.model.full && may && !was_on && rotor.held >= spec.shortest_pulse_ticks {
+            state.direction = state.direction.opposite();
+            on = true;
+        }
+    }
+    if on {
+        state.reversal.drives(spec, inputs.position);
+    }
+    rotor.held = if on == was_on { rotor.held.saturating_add(1) } else { 1 };
+    rotor.on = (rotor.on << 1) | u16::from(on);
+    rotor.cw = (rotor.cw << 1) | u16::from(state.direction == Direction::Cw);
+    let on_steps = if on { spec.duty_steps } else { 0 };
+    let signed = (i64::from(on_steps) * i64::from(state.direction.sign())) << 16;
+    Outputs { u: signed.min(i64::from(i32::MAX)) as i32, on_steps, direction: state.direction }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::super::step;
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    /// A rotor in doubles, in counts and ticks: it comes up to its speed within a tick or two, the wave takes a quarter of it back
+    /// as it dies, and constant friction brakes the rest.
+    struct Motor {
+        full: f64,
+        was: i32,
+        braking: f64,
+        place: f64,
+        speed: f64,
+        count: i32,
+        edge_at: f64,
+    }
+
+    impl Motor {
+        /// A rotor at the edge from which it counts; the speed in counts/s, the braking in counts/s².
+        fn new(full: f64, braking: f64) -> Self {
+            let braking = braking * 500e-6 * 500e-6;
+            Self { full: full * 500e-6, braking, was: 0, place: 1e-6, speed: 0.0, count: 0, edge_at: -1e9 }
+        }
+
+        /// A tick under a drive, which ends at `now` ticks; counted in the sense of the drive's direction.
+        fn turn(&mut self, drive: i32, direction: Direction, now: f64) {
+            let steps = 50;
+            let dies = drive == 0 && self.was != 0;
+            self.was = drive;
+            for step in 1..=steps {
+                let dt = 1.0 / f64::from(steps);
+                if drive != 0 {
+                    self.speed += (f64::from(drive) * self.full - self.speed) * dt;
+                } else {
+                    self.speed *= if dies { 0.75f64.powf(dt) } else { 1.0 };
+                    self.speed -= self.speed.signum() * (self.braking * dt).min(self.speed.abs());
+                }
+                let before = self.place.floor();
+                self.place += self.speed * dt;
+                let edges = (self.place.floor() - before).abs() as i32;
+                if edges > 0 {
+                    self.count += edges * direction.sign();
+                    self.edge_at = now - 1.0 + f64::from(step) * dt;
+                }
+            }
+        }
+    }
+
+    /// Follows a sine; gives the mean error in degrees, and the state at the end.
+    fn follows(spec: ConfigSpec, mut motor: Motor, delay: usize, seconds: u32) -> (f64, State) {
+        let config = Config::try_from(spec).unwrap();
+        let reference = crate::reference::Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
+        let mut state = State::REST;
+        let mut late = std::collections::VecDeque::from(std::vec![(0, Direction::Ccw); delay]);
+        let mut off = 0.0;
+        for tick in 0..seconds * 2_000 {
+            let target = reference.at(u64::from(tick) * 500);
+            let inputs = Inputs {
+                target: target.position,
+                target_rate: target.rate,
+                target_fraction: target.fraction,
+                position: motor.count,
+                edge_age_us: ((f64::from(tick) - motor.edge_at) * 500.0) as u16,
+            };
+            off += (89.0 * (1.257 * f64::from(tick) * 500e-6).sin() - motor.place).abs() * 0.9;
+            let out = step(&config, &mut state, inputs);
+            late.push_back((i32::from(out.on_steps > 0) * out.direction.sign(), out.direction));
+            let (drive, direction) = late.pop_front().unwrap();
+            motor.turn(drive, direction, f64::from(tick + 1));
+        }
+        (off / f64::from(seconds * 2_000), state)
+    }
+
+    /// Fails when the model, its correction by edges or the plan of the pulses is off: the default controller is off by 1.1° on
+    /// the motor that brakes so, and a count is 0.9°.
+    #[test]
+    fn a_rotor_that_is_known_follows_within_a_third_of_a_count() {
+        let (error, state) = follows(ConfigSpec::GATED, Motor::new(234.0, 16_400.0), 1, 10);
+        assert!(error < 0.25, "{error}");
+        assert!((state.rotor.place..state.rotor.place + 1).contains(&state.rotor.place));
+    }
+
+    /// Fails when nothing is learnt of the motor, or what is learnt has the wrong sign.
+    #[test]
+    fn a_rotor_that_is_not_the_one_told_is_learnt() {
+        for (full, braking) in [(190.0, 16_400.0), (300.0, 16_400.0), (234.0, 100_000.0), (260.0, 12_000.0)] {
+            let (error, state) = follows(ConfigSpec::GATED, Motor::new(full, braking), 2, 20);
+            assert!(error < 0.45, "{full} counts/s, {braking} counts/s²: {error}°");
+            let told = f64::from(ConfigSpec::GATED.full_speed_counts_s);
+            for learnt in [state.rotor.full_cw, state.rotor.full_ccw] {
+                let learnt = f64::from(learnt) / f64::from(COUNT) * 2_000.0;
+                assert!((learnt - told) * (full - told) >= 0.0 || (learnt - told).abs() < 25.0, "{full}: {learnt}");
+            }
+        }
+    }
+
+    /// Fails when a target that rests leaves the drive hunting.
+    #[test]
+    fn at_a_target_that_rests_the_drive_is_off() {
+        let config = Config::try_from(ConfigSpec::GATED).unwrap();
+        let (mut state, mut motor) = (State::REST, Motor::new(234.0, 16_400.0));
+        let mut on: Vec<bool> = Vec::new();
+        for tick in 0..4_000u32 {
+            let age = (f64::from(tick) - motor.edge_at) * 500.0;
+            let inputs = Inputs { target: 40, position: motor.count, edge_age_us: age as u16, ..Inputs::default() };
+            let out = step(&config, &mut state, inputs);
+            on.push(out.on_steps > 0);
+            motor.turn(i32::from(out.on_steps > 0) * out.direction.sign(), out.direction, f64::from(tick + 1));
+        }
+        assert!((motor.place - 40.0).abs() < 0.6, "{}", motor.place);
+        assert!(!on[1_000..].contains(&true), "hunts at rest");
+    }
+
+    #[test]
+    fn models_that_fixed_point_cannot_hold_are_refused() {
+        let with = |change: fn(&mut ConfigSpec)| {
+            let mut spec = ConfigSpec::GATED;
+            change(&mut spec);
+            Config::try_from(spec).map(|_| ())
+        };
+        let changes: [fn(&mut ConfigSpec); 8] = [
+            |s| s.full_speed_counts_s = 0,
+            |s| s.full_speed_counts_s = 16_001,
+            |s| s.braking_counts_s2 = 0,
+            |s| s.braking_counts_s2 = u32::MAX,
+            |s| s.delay_ticks = 9,
+            |s| s.shortest_pulse_ticks = 0,
+            |s| s.shortest_pulse_ticks = 41,
+            |s| s.reversal_rest_ticks = 0,
+        ];
+        for change in changes {
+            assert_eq!(with(change), Err(super::super::ConfigError::Rotor));
+        }
+        assert_eq!(with(|s| s.full_speed_counts_s = 16_000), Ok(()));
+    }
+
+    proptest! {
+        /// Fails if any operation can overflow (debug assertions are on), whatever a recording says the state was; if a pulse is
+        /// shorter than the driver board follows; or if the direction changes with the drive on.
+        #[test]
+        fn no_state_and_no_input_overflows(
+            full in 1u16..=16_000, braking in 1u32..2_000_000, delay in 0u8..=8, pulse in 1u8..=40,
+            any in any::<[i32; 6]>(), bits in any::<[u16; 2]>(), held in any::<u8>(),
+            ticks in proptest::collection::vec((any::<i32>(), any::<i32>(), -3i32..=3, any::<i8>(), any::<u16>(), 0u8..20), 1..200),
+        ) {
+            let spec = ConfigSpec {
+                full_speed_counts_s: full, braking_counts_s2: braking, delay_ticks: delay, shortest_pulse_ticks: pulse,
+                ..ConfigSpec::GATED
+            };
+            let Ok(config) = Config::try_from(spec) else { return Ok(()) };
+            let [count, place, speed, full_cw, full_ccw, braking] = any;
+            let rotor = Rotor { count, place, speed, full_cw, full_ccw, braking, on: bits[0], cw: bits[1], held };
+            let mut state = State { rotor, ..State::REST };
+            let (mut position, mut last, mut run) = (count, state.rotor.on & 1 == 1, u32::from(held));
+            let mut pin = state.direction;
+            for (target, target_rate, move_by, target_fraction, edge_age_us, jump) in ticks {
+                position = if jump == 0 { target } else { position.wrapping_add(move_by) };
+                let out = step(&config, &mut state, Inputs { target, target_rate, position, target_fraction, edge_age_us });
+                prop_assert!(out.on_steps == 0 || out.on_steps == spec.duty_steps);
+                prop_assert!((0..=COUNT).contains(&state.rotor.place));
+                prop_assert!(config.model.about(state.rotor.full_cw) == state.rotor.full_cw);
+                prop_assert!(config.model.braked(state.rotor.braking) == state.rotor.braking);
+                let on = out.on_steps > 0;
+                prop_assert!(out.direction == pin || (on && !last), "the pin changes with the pulse, from rest");
+                if on != last {
+                    prop_assert!(run >= u32::from(pulse), "{run} ticks");
+                    run = 0;
+                }
+                run += 1;
+                (last, pin) = (on, out.direction);
+            }
+        }
+    }
+}
