@@ -139,8 +139,10 @@ impl Rotor {
         self.count = inputs.position;
         if edges != 0 {
             let edge = if edges > 0 { 0 } else { COUNT };
-            let age_us = u32::from(inputs.edge_age_us).min(config.spec.period_us) as i32;
-            let since = (self.speed >> 8) * age_us / (config.spec.period_us as i32).max(1) * 256;
+            // In 256ths of a tick, without a sign: a division of signed numbers might overflow.
+            let period_us = config.spec.period_us.max(1);
+            let age = ((u32::from(inputs.edge_age_us).min(period_us) << 8) / period_us) as i32;
+            let since = (self.speed >> 8) * age;
             if edges.unsigned_abs() <= FARTHEST.unsigned_abs() {
                 self.learns(model, drive, edge + edges * COUNT - (self.place - since));
             }
@@ -169,8 +171,10 @@ impl Rotor {
             -1 => self.full_ccw = model.about(self.full_ccw - error / 512),
             _ => {
                 // The same share of the braking for each tick of full drive that the rotor went too far, or not far enough.
-                let share = (i64::from(self.braking) * i64::from(error / (model.full / 64)) / (64 * 64)) as i32;
-                self.braking = model.braked(self.braking + if self.speed > 0 { -share } else { share });
+                let ticks = error.unsigned_abs() / (model.full.unsigned_abs() / 64).max(1);
+                let share = ((u64::from(self.braking.unsigned_abs()) * u64::from(ticks)) >> 12) as i32;
+                let brakes_less = (error > 0) == (self.speed > 0);
+                self.braking = model.braked(self.braking + if brakes_less { -share } else { share });
             }
         }
     }
@@ -321,15 +325,15 @@ mod tests {
     /// Fails when nothing is learnt of the motor, or what is learnt has the wrong sign.
     #[test]
     fn a_rotor_that_is_not_the_one_told_is_learnt() {
-        for (full, braking) in [(190.0, 16_400.0), (300.0, 16_400.0), (234.0, 100_000.0), (260.0, 12_000.0)] {
-            let (error, state) = follows(ConfigSpec::GATED, Motor::new(full, braking), 2, 20);
-            assert!(error < 0.45, "{full} counts/s, {braking} counts/s²: {error}°");
-            let told = f64::from(ConfigSpec::GATED.full_speed_counts_s);
-            for learnt in [state.rotor.full_cw, state.rotor.full_ccw] {
-                let learnt = f64::from(learnt) / f64::from(COUNT) * 2_000.0;
-                assert!((learnt - told) * (full - told) >= 0.0 || (learnt - told).abs() < 25.0, "{full}: {learnt}");
-            }
-        }
+        let learnt =
+            [(190.0, 16_400.0), (300.0, 16_400.0), (234.0, 100_000.0), (260.0, 12_000.0)].map(|(full, braking)| {
+                let (error, state) = follows(ConfigSpec::GATED, Motor::new(full, braking), 2, 20);
+                assert!(error < 0.45, "{full} counts/s, {braking} counts/s²: {error}°");
+                state.rotor
+            });
+        let [slow, fast, braked, coasting] = learnt;
+        assert!(slow.full_cw < fast.full_cw && slow.full_ccw < fast.full_ccw, "{slow:?}, {fast:?}");
+        assert!(braked.braking > 2 * coasting.braking, "{braked:?}, {coasting:?}");
     }
 
     /// Fails when a target that rests leaves the drive hunting.
