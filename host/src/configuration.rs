@@ -320,7 +320,7 @@ mod tests {
 
     #[test]
     fn what_is_written_reads_back_as_itself() {
-        for control in [ConfigSpec::THESIS, ConfigSpec::DEFAULT] {
+        for (_, control) in ConfigSpec::NAMED {
             let mut configuration = Configuration::with_control(control);
             configuration.count_sign = CountSign::Reversed;
             configuration.limits.position_min = -77;

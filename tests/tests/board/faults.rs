@@ -279,7 +279,7 @@ fn the_safety_document_states_the_bounds_that_are_tested() {
 
 #[test]
 fn a_reversed_count_in_a_closed_loop_is_caught_within_a_quarter_turn_and_a_fifth_of_a_second() {
-    for control in [ConfigSpec::THESIS, ConfigSpec::DEFAULT] {
+    for (_, control) in ConfigSpec::NAMED {
         let mut bench = Bench::armed(default_configuration());
         let before = bench.board().angle_rad();
         drop(bench);

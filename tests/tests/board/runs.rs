@@ -3,7 +3,7 @@
 use crate::bench::{Bench, default_configuration, speed};
 use twum_host::link::LinkError;
 use twum_host::sim::{Disturbance, DriverHealth, Setup};
-use twum_shared::message::{DeviceMessage, Mode, Refusal, RunEnd, TrackRun};
+use twum_shared::message::{Configuration, DeviceMessage, Mode, Refusal, RunEnd, TrackRun};
 use twum_shared::reference::Reference;
 use twum_shared::step::ConfigSpec;
 use twum_shared::{Direction, Duty, Fault};
@@ -105,8 +105,9 @@ fn the_count_is_the_rotor_within_an_edge() {
 }
 
 #[test]
-fn both_controllers_track_the_thesis_sine() {
-    for (spec, mean_bound_deg) in [(ConfigSpec::THESIS, 12.0), (ConfigSpec::DEFAULT, 2.0)] {
+fn every_controller_tracks_the_thesis_sine() {
+    // Of whole counts, of which a rotor that followed exactly would be off by half of one.
+    for (spec, mean_bound_deg) in [(ConfigSpec::THESIS, 12.0), (ConfigSpec::DEFAULT, 2.0), (ConfigSpec::GATED, 0.6)] {
         let mut bench = Bench::armed(twum_shared::message::Configuration::with_control(spec));
         let reference = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
         bench.session.capture(twum_shared::message::CaptureMode { bits: false, edges: false, control: true }).unwrap();
@@ -123,6 +124,20 @@ fn both_controllers_track_the_thesis_sine() {
         let mean = errors.iter().map(|error| error.abs()).sum::<f64>() / errors.len() as f64;
         assert!(mean < mean_bound_deg, "mean error {mean}°");
     }
+}
+
+/// Fails when a drive that is decided every tick is run with pulses that begin every 20 ms.
+#[test]
+fn a_gated_drive_is_refused_a_pwm_that_is_not_its_own() {
+    let slow = Configuration { pwm_hz: 50, ..Configuration::with_control(ConfigSpec::GATED) };
+    let mut bench = Bench::armed(slow);
+    let reference = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
+    let refused = bench.session.start_track(TrackRun { reference, duration_ms: 1_000 }).unwrap_err();
+    assert!(refused.to_string().contains("pwm_hz"), "{refused}");
+    // A run at constant duty asks no controller.
+    bench.session.start_speed(speed(Duty::from_ratio(1, 2), Direction::Cw, 100)).unwrap();
+    bench.wait(300);
+    assert_eq!(bench.board().mode(), Mode::Armed);
 }
 
 #[test]

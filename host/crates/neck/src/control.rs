@@ -63,7 +63,7 @@ mod tests {
 
     #[test]
     fn the_tuned_resolution_changes_nothing() {
-        for spec in [ConfigSpec::THESIS, ConfigSpec::DEFAULT] {
+        for (_, spec) in ConfigSpec::NAMED {
             assert_eq!(*at_resolution(&spec, 400).unwrap().spec(), spec);
         }
     }
