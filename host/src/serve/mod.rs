@@ -49,7 +49,7 @@ const THREADS: usize = 2;
 pub struct App {
     board: Arc<Board>,
     owner: Arc<Owner>,
-    holder: Holder,
+    holder: Arc<Holder>,
     door: Door,
     folder: Folder,
     studies: Studies,
@@ -141,11 +141,12 @@ impl Server {
         let asked = listen.rsplit_once(':').map_or(listen, |(host, _)| host).trim_matches(['[', ']']);
         let door = Door::new(asked, address.ip().is_loopback());
         let board = Arc::new(Board::new(port));
-        let (owner, thread) = Owner::start(bench, Arc::clone(&board));
+        let holder = Arc::<Holder>::default();
+        let (owner, thread) = Owner::start(bench, Arc::clone(&board), Arc::clone(&holder));
         let app = Arc::new(App {
             board,
             owner,
-            holder: Holder::default(),
+            holder,
             door,
             folder,
             studies: Studies::default(),

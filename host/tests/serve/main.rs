@@ -12,3 +12,4 @@ mod load;
 mod page;
 mod security;
 mod served;
+mod terminal;
