@@ -20,6 +20,7 @@ pub mod series;
 pub mod settings;
 pub mod stream;
 mod studies;
+mod sweep;
 pub mod tap;
 
 use board::Board;
@@ -36,6 +37,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use studies::Studies;
+use sweep::Sweeps;
 use thiserror::Error;
 
 /// A lease that has run out is seen within this time.
@@ -53,6 +55,7 @@ pub struct App {
     door: Door,
     folder: Folder,
     studies: Studies,
+    sweeps: Sweeps,
     /// Streams that are open.
     pages: AtomicUsize,
     /// Their names.
@@ -150,6 +153,7 @@ impl Server {
             door,
             folder,
             studies: Studies::default(),
+            sweeps: Sweeps::default(),
             pages: AtomicUsize::new(0),
             names: Mutex::default(),
         });

@@ -168,3 +168,19 @@ pub fn signal_to(child: &Child, signal: &str) {
     let sent = std::process::Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status();
     assert!(sent.unwrap().success());
 }
+
+/// Fails when a server that ends leaves the motor of a terminal running, or to the command timeout.
+#[test]
+fn a_server_that_ends_stops_the_motor_of_a_terminal_too() {
+    let (simulator, mut served) = board();
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("run.mcap");
+    let child = tracking(&served, &recording);
+    signal_to(&served.process, "TERM");
+    let output = child.wait_with_output().unwrap();
+    assert!(text(&output).contains("stopped by somebody else"), "{}", text(&output));
+    assert!(served.process.wait().unwrap().success());
+    assert!(frames(&recording) > 10);
+    let info: serde_json::Value = serde_json::from_str(&simulator.say(&["info", "--json"])).unwrap();
+    assert_eq!((&info["mode"], &info["fault"]), (&"Idle".into(), &serde_json::Value::Null));
+}
