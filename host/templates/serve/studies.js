@@ -137,7 +137,7 @@ export const diagnosis = {
     const shunt = number(2000), exercise = choice([["rotation", "rotation"], ["flexion-extension", "flexion and extension"], ["lateral-flexion", "lateral flexion"], ["all", "all"]]);
     sweepWords = element("p", { className: "callout" });
     sweepPlots = element("div", { id: "swept" });
-    sweep = element("div", { hidden: true }, sweepWords, button("Close", closeSweep, { id: "close-sweep" }), sweepPlots);
+    sweep = element("div", { hidden: true }, sweepWords, element("div", { className: "row" }, button("Close the sweep", closeSweep, { id: "close-sweep" })), sweepPlots);
     const only = () => { if (names().length !== 1) throw new Error("choose one"); return names()[0]; };
     place.append(element("h2", { textContent: "Diagnosis" }),
       element("p", { className: "soft", textContent: "What the simulation gets wrong of the runs chosen, and why. The command line computes it beside the server; the motor's runs go before." }),

@@ -232,8 +232,8 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     std::fs::copy(motor, served.runs().join("mine.toml")).unwrap();
     looks_at_runs_and_the_model(&mut browser);
     std::fs::write(served.runs().join("stator.csv"), sweep()).unwrap();
-    watches_a_sweep(&mut browser);
     served.has_example("bench3");
+    watches_a_sweep(&mut browser);
     diagnoses_the_example(&mut browser);
     browser.call("Page.reload", json!({}));
     browser.until("['nobody', 'another'].includes(document.body?.dataset.holder)");

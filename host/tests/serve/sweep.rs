@@ -58,7 +58,7 @@ fn nyquist_and_bode_are_shown_while_a_stator_is_swept() {
     assert_eq!((&last["taken"], &last["planned"], &last["unreadable"]), (&101.into(), &101.into(), &0.into()));
     let panels = last["figure"]["panels"].as_array().unwrap();
     let labels: Vec<&str> = panels.iter().map(|panel| panel["y_label"].as_str().unwrap()).collect();
-    assert_eq!(labels, ["susceptance B (mS)", "|Y| (S)", "phase (deg)"]);
+    assert_eq!(labels, ["susceptance B (mS)", "|Y| (mS)", "phase (deg)"]);
     // The conductance is greatest at 1/(2π√(LC)) of what is simulated, 44 133 Hz; its Q is 32.
     let x = |panel: usize| panels[panel]["series"][0]["x"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap());
     let (_, most_khz) = x(0).zip(x(1)).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();

@@ -80,15 +80,17 @@ pub fn swept(points: &[Point]) -> Figure {
     };
     let khz: fn(&Point) -> f64 = |point| point.frequency_hz / 1e3;
     let nyquist = of(|point| 1e3 * point.admittance_s.re, |point| 1e3 * point.admittance_s.im);
+    let magnitude = of(khz, |point| 1e3 * point.admittance_s.norm());
+    let (least, most) = magnitude.iter().fold((f64::INFINITY, 0.0f64), |(a, b), it| (a.min(it.1), b.max(it.1)));
+    // Below a decade a logarithmic axis has hardly a number on it.
+    let axis = |panel: Panel| if most > 10.0 * least { panel.y_log() } else { panel };
     Figure::new("")
         .panel(
             Panel::new("conductance G (mS)", "susceptance B (mS)").title("Nyquist plot").points("measured", &nyquist),
         )
         .panel(
-            Panel::new("frequency (kHz)", "|Y| (S)")
-                .title("Bode plot: magnitude")
-                .y_log()
-                .points("measured", &of(khz, |point| point.admittance_s.norm())),
+            axis(Panel::new("frequency (kHz)", "|Y| (mS)").title("Bode plot: magnitude"))
+                .points("measured", &magnitude),
         )
         .panel(
             Panel::new("frequency (kHz)", "phase (deg)")
