@@ -2,7 +2,6 @@
 
 use super::read::{ReadError, Shunt, point};
 use super::sweep::{Point, Waveform};
-use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -54,7 +53,7 @@ impl Following {
     pub fn advance(&mut self) -> Result<(), ReadError> {
         let path = self.path.clone();
         let io = |cause| ReadError::Io { path: path.clone(), cause };
-        let mut file = File::open(&path).map_err(io)?;
+        let mut file = twum_files::input::open(&path).map_err(io)?;
         if file.metadata().map_err(io)?.len() < self.taken {
             *self = Self::new(&path, self.shunt_ohm, self.shunt);
         }
@@ -151,7 +150,7 @@ mod tests {
     fn whole_frequencies_are_points_and_torn_ones_wait() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.csv");
-        let mut file = File::create(&path).unwrap();
+        let mut file = std::fs::File::create(&path).unwrap();
         let mut following = Following::new(&path, 2000.0, Shunt::High);
         following.advance().unwrap();
         assert_eq!((following.points().len(), following.planned()), (0, None));
