@@ -5,6 +5,7 @@ pub mod compare;
 pub mod configuration;
 pub mod demo;
 pub mod live;
+pub mod origin;
 pub mod plot;
 pub mod report;
 pub mod serve;

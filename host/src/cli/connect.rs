@@ -70,13 +70,13 @@ impl ConnectArgs {
         self.port.is_some() && std::env::var("TWUM_PORT").ok() != self.port
     }
 
-    fn open(&self) -> Result<Box<dyn Port>> {
+    fn open(&self, reach: impl Fn(&str) -> Result<Box<dyn Port>, LinkError>) -> Result<Box<dyn Port>> {
         let port = self.port()?;
         if port == "sim" {
             return Ok(Box::new(SimulatedLink::new(self.motor.simulated()?)));
         }
         self.motor.is_of_a_real_board()?;
-        Ok(self.serial(&port)?)
+        Ok(reach(&port)?)
     }
 
     /// Which motor is there, or which one to simulate.
@@ -84,23 +84,41 @@ impl ConnectArgs {
         &self.motor
     }
 
-    /// Opens a serial port, through which other programs of this user reach the board too.
-    pub fn serial(&self, port: &str) -> Result<Box<dyn Port>, LinkError> {
-        Ok(Box::new(relay::Relay::new(SerialLink::open(port, self.reset)?, port)))
+    /// Opens a serial port, through which other programs of this user reach the board too, and borrow it where it is lent.
+    pub fn serial(&self, port: &str, lender: Option<relay::Lender>) -> Result<Box<dyn Port>, LinkError> {
+        Ok(Box::new(relay::Relay::new(SerialLink::open(port, self.reset)?, port, lender)))
     }
 
-    /// Opens the port and a session that Ctrl-C interrupts.
-    pub fn session(&self) -> Result<Session<Box<dyn Port>>> {
+    /// Opens a serial port, or borrows the board of the program of this user that holds it.
+    fn serial_or_borrowed(&self, port: &str) -> Result<Box<dyn Port>, LinkError> {
+        let (named, reason) = match self.serial(port, None) {
+            Err(LinkError::Open { port, reason }) if !self.reset => (port, reason),
+            other => return other,
+        };
+        let what = std::env::args().nth(1).unwrap_or_default();
+        match relay::borrow(port, &format!("twum {what}")) {
+            Ok(board) => Ok(Box::new(board)),
+            Err(relay::RelayError::Nobody) => Err(LinkError::Open { port: named, reason }),
+            Err(error) => Err(LinkError::Open { port: named, reason: format!("{reason}; {error}") }),
+        }
+    }
+
+    fn session_over(&self, port: Box<dyn Port>) -> Result<Session<Box<dyn Port>>> {
         catch_interrupts()?;
-        let mut session = Session::new(self.open()?);
+        let mut session = Session::new(port);
         session.interrupt_by(&INTERRUPTED);
         Ok(session)
     }
 
+    /// Opens the port, or borrows the board, and a session that Ctrl-C interrupts.
+    pub fn session(&self) -> Result<Session<Box<dyn Port>>> {
+        self.session_over(self.open(|port| self.serial_or_borrowed(port))?)
+    }
+
     /// Opens the port, or asks `through` the program of this user that holds it.
     pub fn session_or<T>(&self, through: impl Fn(&str) -> Result<T, relay::RelayError>) -> Result<Reached<T>> {
-        let cannot_open = match self.session() {
-            Ok(session) => return Ok(Reached::Port(Box::new(session))),
+        let cannot_open = match self.open(|port| self.serial(port, None)) {
+            Ok(port) => return Ok(Reached::Port(Box::new(self.session_over(port)?))),
             Err(error) => error,
         };
         match through(&self.port()?) {
@@ -160,7 +178,7 @@ impl ConnectArgs {
         observe: impl FnMut(&Received),
     ) -> Result<Outcome> {
         let port = self.port()?;
-        let mut reopen = || self.serial(&port);
+        let mut reopen = || self.serial_or_borrowed(&port);
         Ok(perform(session, experiment, Some(&mut reopen), observe)?)
     }
 }

@@ -13,8 +13,8 @@ use std::time::Duration;
 use twum_host::diagnose::inertial::{InputRun, next_inputs};
 use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Details, Options, diagnose};
-use twum_host::link::LinkError;
-use twum_host::link::bench::{Action, Experiment, perform};
+use twum_host::link::bench::{Experiment, perform};
+use twum_host::link::series::make_all;
 use twum_host::link::{Port, Session};
 use twum_host::model::parameters::Flavour;
 use twum_host::record::series::{Series, SeriesError, SeriesRun, duration_ms};
@@ -233,11 +233,7 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
     let mut used = own;
     let result = perform_all(args, &series, &mut session, &motor, &mut used);
     restore(&mut session, own, used);
-    let verdict = match result {
-        Ok(None) => Ok(0),
-        Ok(Some((id, error))) => Err(anyhow::Error::from(error).context(format!("run {id}"))),
-        Err(error) => Err(error),
-    };
+    let verdict = result.map(|()| 0);
     exit::decide(&verdict);
     conclude(args, &series, verdict)
 }
@@ -275,44 +271,34 @@ fn conclude(args: &RunArgs, series: &Series, verdict: Result<u8>) -> Result<Exit
 }
 
 /// Makes the runs that are not made yet, on a board whose own configuration is `used` at first, and which it was given last
-/// afterwards; the run that was cut short, and by what.
+/// afterwards.
 fn perform_all(
     args: &RunArgs,
     series: &Series,
     session: &mut Session<Box<dyn Port>>,
     motor: &str,
     used: &mut Configuration,
-) -> Result<Option<(String, LinkError)>> {
-    let (runs, own) = (series.runs(), *used);
-    let bar = ProgressBar::new(runs.len() as u64)
+) -> Result<()> {
+    let own = *used;
+    let bar = ProgressBar::new(series.runs().len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
-    for run in runs {
+    let begins = |index: usize, run: &SeriesRun| {
+        bar.set_position(index as u64);
         bar.set_message(run.id.clone());
-        if series.is_made(run)? {
-            bar.inc(1);
-            continue;
-        }
-        if let Err(error) = session.rest(Duration::from_secs_f64(run.pause_s)) {
-            return Ok(Some((run.id.clone(), error)));
-        }
-        let mut configuration = args.configuration.over(own)?;
-        configuration.pwm_hz = run.pwm_hz.round() as u16;
-        *used = configuration;
+    };
+    make_all(series, begins, |run, action| {
+        session.rest(Duration::from_secs_f64(run.pause_s))?;
+        *used = Configuration { pwm_hz: run.pwm_hz.round() as u16, ..args.configuration.over(own)? };
         let experiment = Experiment {
-            configuration: Some(configuration),
+            configuration: Some(*used),
             capture: ALL_STREAMS,
-            action: Action::Speed(run.speed_run().with_context(|| format!("run {}", run.id))?),
+            action,
             recording: Some(series.recording(run)),
             motor: motor.to_owned(),
         };
-        let outcome = perform(session, &experiment, None, |_| {}).with_context(|| format!("run {}", run.id))?;
-        if let Some(error) = outcome.cut() {
-            // No ordinary run: it goes by another name, and into no measurement.
-            series.set_aside(run)?;
-            return Ok(Some((run.id.clone(), error)));
-        }
-        bar.inc(1);
-    }
+        Ok::<_, anyhow::Error>(perform(session, &experiment, None, |_| {})?)
+    })
+    .map_err(|(id, error)| error.context(format!("run {id}")))?;
     bar.finish_and_clear();
-    Ok(None)
+    Ok(())
 }

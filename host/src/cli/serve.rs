@@ -11,6 +11,7 @@ use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
+use twum_host::link::relay::Lender;
 use twum_host::link::{LinkError, Port, is_motor_held, serve};
 use twum_host::serve::Server;
 use twum_host::serve::owner::Bench;
@@ -28,7 +29,8 @@ Examples:
   twum serve --port /dev/ttyUSB0 --listen 0.0.0.0:8080    for others too, who need the address with the token that is printed
 
 One page holds the motor, the others watch; anybody stops it, with the button, Escape or the space bar. A page that holds the
-motor and is gone for longer than the command timeout stops it. `twum stop`, `live` and `info` of another terminal work beside it.")]
+motor and is gone for longer than the command timeout stops it. `twum stop`, `live` and `info` of another terminal work beside it
+at any time; `twum track` and every other command that needs the board while no page holds the motor.")]
 pub struct Args {
     #[command(flatten)]
     connect: ConnectArgs,
@@ -50,8 +52,8 @@ struct OwnBench {
 }
 
 impl Bench for OwnBench {
-    fn open(&mut self) -> Result<Box<dyn Port>, LinkError> {
-        self.connect.serial(&self.port)
+    fn open(&mut self, lender: Lender) -> Result<Box<dyn Port>, LinkError> {
+        self.connect.serial(&self.port, Some(lender))
     }
 
     fn motor(&self, chip: &str, used: &Configuration) -> Result<String, String> {

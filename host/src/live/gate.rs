@@ -2,6 +2,7 @@
 //! those that are meant come through, told by the `Host` they asked for and the `Origin` they come from. The server itself
 //! listens behind it, on a loopback address and port that nobody is told.
 
+use crate::origin::{host_of, is_this_machine, name_of};
 use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -89,8 +90,8 @@ fn is_welcome(head: &[u8]) -> bool {
     };
     let hosts = values("host");
     let origins = values("origin");
-    let local = |host: &str| ["127.0.0.1", "localhost"].contains(&host.split(':').next().unwrap_or_default());
-    let own = |origin: &str| origin.strip_prefix("http://").or(origin.strip_prefix("https://")).is_some_and(local);
+    let local = |host: &str| is_this_machine(&name_of(host));
+    let own = |origin: &str| host_of(origin).is_some_and(local);
     hosts.len() == 1 && local(&hosts[0]) && origins.iter().all(|origin| own(origin) || ORIGINS.contains(&&**origin))
 }
 

@@ -15,6 +15,8 @@ use twum_shared::message::{Configuration, DeviceMessage, Identity, Mode, Status}
 
 /// Points that are kept: ten minutes at 20 a second.
 const POINTS: usize = 12_000;
+/// A status, of which ten come a second, says how the board is for so long.
+const KNOWN: Duration = Duration::from_secs(1);
 /// Lines that are kept for pages that come later.
 const LINES: usize = 200;
 
@@ -61,8 +63,10 @@ pub struct State {
     pub mode: Option<Mode>,
     /// The latched fault.
     pub fault: Option<FaultWords>,
-    /// Whether the board says that the drive is off and nothing turns.
+    /// Whether the board says that the drive is off and nothing turns; false where that is not known.
     pub is_off: bool,
+    /// Whether the board has said lately how it is: without that nothing is known of its motor.
+    pub is_known: bool,
     /// How long ago the last status came, ms.
     pub heard_ms_ago: Option<u64>,
     /// Chip.
@@ -240,6 +244,8 @@ impl Board {
             inner.say(why.to_owned());
         }
         (inner.connected, inner.trouble) = (false, Some(why.to_owned()));
+        // What it said last is nothing that is known of it now.
+        inner.status = None;
         drop(inner);
         self.tell();
     }
@@ -366,6 +372,7 @@ impl Inner {
 
     fn state(&self, port: &str) -> State {
         let status = self.status.as_ref().map(|(status, _)| status);
+        let is_known = self.connected && self.status.is_some_and(|(_, at)| at.elapsed() < KNOWN);
         let fault = |fault: Fault| FaultWords {
             name: format!("{fault:?}"),
             words: fault.to_string(),
@@ -378,7 +385,8 @@ impl Inner {
             port: port.to_owned(),
             mode: status.map(|status| status.mode),
             fault: status.and_then(|status| status.fault).map(fault),
-            is_off: status.is_some_and(is_off),
+            is_off: is_known && status.is_some_and(is_off),
+            is_known,
             heard_ms_ago: self.status.map(|(_, at)| at.elapsed().as_millis() as u64),
             chip: identity.map(|it| crate::input::printable(&it.chip)),
             firmware: identity.map(|it| crate::input::printable(&it.firmware)),

@@ -5,6 +5,7 @@
 //! and a name that was bound to this machine's address after the fact (DNS rebinding) is none that is let in.
 
 use super::App;
+use crate::origin;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Request, State};
@@ -44,15 +45,9 @@ impl Door {
 
     /// Whether a `Host` is one of this server's own names. Nobody can bind an address, so addresses are.
     fn knows(&self, host: &str) -> bool {
-        let host = host.to_ascii_lowercase();
-        let name = match host.strip_prefix('[') {
-            Some(six) => six.split(']').next().unwrap_or_default(),
-            None => host.split(':').next().unwrap_or_default(),
-        };
-        match name.parse::<IpAddr>() {
-            Ok(address) => !self.is_loopback || address.is_loopback(),
-            Err(_) => name == "localhost" || self.name.as_deref() == Some(name),
-        }
+        let name = origin::name_of(host);
+        let is_address = name.parse::<IpAddr>().is_ok();
+        origin::is_this_machine(&name) || (is_address && !self.is_loopback) || self.name.as_ref() == Some(&name)
     }
 
     /// Why a request is not let in.
@@ -65,10 +60,7 @@ impl Door {
                 "this server goes by its address, or by the name it was told to listen at",
             ));
         };
-        let own = |origin: &str| {
-            let there = origin.strip_prefix("http://").or(origin.strip_prefix("https://"));
-            there.is_some_and(|there| there.eq_ignore_ascii_case(host))
-        };
+        let own = |origin: &str| origin::host_of(origin).is_some_and(|there| there.eq_ignore_ascii_case(host));
         if !headers.get_all(ORIGIN).iter().all(|origin| origin.to_str().is_ok_and(own)) {
             return Some((StatusCode::FORBIDDEN, "pages of other origins are not let in"));
         }

@@ -1,6 +1,7 @@
 //! The folder of runs: what is in it, and the notes that people write beside it. No name leads out of it.
 
 use crate::input;
+use crate::model::motor::Motor;
 use crate::output;
 use serde::Serialize;
 use std::path::{Component, Path, PathBuf};
@@ -122,6 +123,28 @@ impl Folder {
             entry.note = notes.lines().next().map(str::to_owned);
         }
         found
+    }
+
+    /// The motor files that lie in it, by name.
+    pub fn motors(&self) -> Vec<String> {
+        let files = std::fs::read_dir(&self.root).into_iter().flatten().flatten();
+        let is_motor = |name: &String| name.ends_with(".toml") && self.motor(name).is_ok();
+        let mut motors: Vec<String> =
+            files.filter_map(|file| file.file_name().into_string().ok()).take(LISTED).filter(is_motor).collect();
+        motors.sort();
+        motors
+    }
+
+    /// A shipped motor by its name, or that of a motor file in the folder.
+    ///
+    /// # Errors
+    /// As [`Self::existing`], or what the file does not say as a motor file does.
+    pub fn motor(&self, name: &str) -> Result<Motor, String> {
+        if let Ok(motor) = Motor::shipped(name) {
+            return Ok(motor);
+        }
+        let text = input::text(&self.existing(name)?, input::WRITTEN).map_err(|error| format!("{name}: {error}"))?;
+        Motor::parse(name, &text).map_err(|error| error.to_string())
     }
 
     fn visit(&self, folder: &Path, depth: usize, found: &mut Vec<Entry>) {

@@ -20,6 +20,7 @@ pub mod series;
 pub mod settings;
 pub mod stream;
 mod studies;
+mod sweep;
 pub mod tap;
 
 use board::Board;
@@ -36,6 +37,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use studies::Studies;
+use sweep::Sweeps;
 use thiserror::Error;
 
 /// A lease that has run out is seen within this time.
@@ -49,10 +51,11 @@ const THREADS: usize = 2;
 pub struct App {
     board: Arc<Board>,
     owner: Arc<Owner>,
-    holder: Holder,
+    holder: Arc<Holder>,
     door: Door,
     folder: Folder,
     studies: Studies,
+    sweeps: Sweeps,
     /// Streams that are open.
     pages: AtomicUsize,
     /// Their names.
@@ -141,14 +144,16 @@ impl Server {
         let asked = listen.rsplit_once(':').map_or(listen, |(host, _)| host).trim_matches(['[', ']']);
         let door = Door::new(asked, address.ip().is_loopback());
         let board = Arc::new(Board::new(port));
-        let (owner, thread) = Owner::start(bench, Arc::clone(&board));
+        let holder = Arc::<Holder>::default();
+        let (owner, thread) = Owner::start(bench, Arc::clone(&board), Arc::clone(&holder));
         let app = Arc::new(App {
             board,
             owner,
-            holder: Holder::default(),
+            holder,
             door,
             folder,
             studies: Studies::default(),
+            sweeps: Sweeps::default(),
             pages: AtomicUsize::new(0),
             names: Mutex::default(),
         });

@@ -6,14 +6,14 @@ use super::answer::{Answer, Refused, in_force};
 use crate::configuration::controller;
 use crate::model::closed_loop::{LoopProgram, following, run as run_loop};
 use crate::model::effects::{CATALOGUE, EffectSet};
-use crate::model::motor::Motor;
+use crate::model::motor::{Motor, SHIPPED};
 use crate::model::motor_plant::{History, MotorPlant, Solver};
 use crate::model::parameters::{Flavour, SPECS};
 use crate::model::study::Setup;
 use crate::record::load::load_runs;
 use crate::report::figure::{Figure, Panel};
 use crate::report::run::RunFigures;
-use axum::extract::State;
+use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::routing::get;
 use axum::{Json, Router};
@@ -44,6 +44,8 @@ pub fn routes() -> Router<Arc<App>> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Chosen {
+    /// A shipped motor, or a motor file of the folder; the 30 mm motor where none is named.
+    motor: Option<String>,
     flavour: Flavours,
     /// Parameters that differ from the motor's.
     set: BTreeMap<String, f64>,
@@ -81,8 +83,19 @@ impl From<Flavours> for Flavour {
     }
 }
 
-async fn sliders() -> Answer {
-    let motor = Motor::pcbmotor_30mm();
+/// Which motor's parameters are asked for.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Which {
+    motor: Option<String>,
+}
+
+fn motor_of(app: &App, name: Option<&str>) -> Result<Motor, String> {
+    name.map_or_else(|| Ok(Motor::pcbmotor_30mm()), |name| app.folder.motor(name))
+}
+
+async fn sliders(State(app): State<Arc<App>>, Query(which): Query<Which>) -> Answer {
+    let motor = motor_of(&app, which.motor.as_deref())?;
     let of = |flavour: Flavour| -> Vec<Value> {
         let values = motor.parameters(flavour).to_array();
         let rows = SPECS.iter().zip(values).map(|(spec, value)| {
@@ -101,8 +114,13 @@ async fn sliders() -> Answer {
             json!({ "name": effect.name, "parameters": parameters })
         })
         .collect();
+    let own: BTreeMap<&str, Vec<f64>> =
+        motor.effects().present().into_iter().map(|(info, values)| (info.name, values)).collect();
+    let motors: Vec<String> = SHIPPED.iter().map(|(name, _)| (*name).to_owned()).chain(app.folder.motors()).collect();
     Ok(Json(json!({
         "motor": motor.name,
+        "motors": motors,
+        "own_effects": own,
         "flavours": { "physical": of(Flavour::Physical), "thesis": of(Flavour::Thesis), "measured": of(Flavour::Measured) },
         "effects": effects,
     })))
@@ -116,19 +134,20 @@ async fn predict(State(app): State<Arc<App>>, Json(chosen): Json<Chosen>) -> Ans
         Controllers::Board => in_force(&app).control,
     };
     let config = Config::try_from(control).map_err(|error| error.to_string())?;
-    let setup = setup(&chosen)?;
+    let motor = motor_of(&app, chosen.motor.as_deref())?;
+    let setup = setup(&motor, &chosen)?;
     let busy = |_| Refused(StatusCode::SERVICE_UNAVAILABLE, "the model is busy".to_owned());
     let _turn = COMPUTING.acquire().await.map_err(busy)?;
-    let computed = tokio::task::spawn_blocking(move || answer(&setup, config, run.as_deref())).await;
+    let computed = tokio::task::spawn_blocking(move || answer(&motor, &setup, config, run.as_deref())).await;
     computed
         .unwrap_or_else(|_| Err("the model failed; the server's terminal says more".to_owned()))
         .map(Json)
         .map_err(Into::into)
 }
 
-fn setup(chosen: &Chosen) -> Result<Setup, String> {
+fn setup(motor: &Motor, chosen: &Chosen) -> Result<Setup, String> {
     let flavour = Flavour::from(chosen.flavour);
-    let mut parameters = Motor::pcbmotor_30mm().parameters(flavour);
+    let mut parameters = motor.parameters(flavour);
     for (name, value) in &chosen.set {
         parameters.set(name, *value).map_err(|error| error.to_string())?;
     }
@@ -142,7 +161,7 @@ fn setup(chosen: &Chosen) -> Result<Setup, String> {
     Ok(setup)
 }
 
-fn answer(setup: &Setup, config: Config, run: Option<&Path>) -> Result<Value, String> {
+fn answer(motor: &Motor, setup: &Setup, config: Config, run: Option<&Path>) -> Result<Value, String> {
     let duties: Vec<f64> = (0..DUTIES).map(|k| f64::from(k) / f64::from(DUTIES - 1)).collect();
     let speeds = setup.sweep(&duties).map_err(|error| error.to_string())?;
     let line: Vec<(f64, f64)> = speeds.iter().map(|(duty, speed)| (*duty, speed.speed_rpm)).collect();
@@ -156,7 +175,7 @@ fn answer(setup: &Setup, config: Config, run: Option<&Path>) -> Result<Value, St
     let program = LoopProgram {
         config,
         end_s: LOOP_S,
-        ..LoopProgram::thesis(Motor::pcbmotor_30mm().edges_per_rev).map_err(|error| error.to_string())?
+        ..LoopProgram::thesis(motor.edges_per_rev).map_err(|error| error.to_string())?
     };
     let (solver, history) = (Solver::Averaged, History::default());
     let mut plant = MotorPlant::new(setup.parameters, setup.flavour, solver, &setup.effects, history);

@@ -1,12 +1,15 @@
 //! The one thread that owns the board's port. It does what the command line does, with the same [`perform`]; pages hand it one
-//! thing to do at a time. A stop waits for nothing: it ends what is going on and is sent whatever the board says of itself.
+//! thing to do at a time, and a terminal borrows the board (`link::loan`). A stop waits for nothing: it ends what is going on and is sent whatever the board says of itself.
 
 use super::board::{Board, Doing, Ended};
+use super::holder::{HeldError, Holder};
 use super::series::{self, Failed, Task};
 use super::tap::Tap;
 use crate::link::bench::{Action, Experiment, Outcome, align, perform};
-use crate::link::{LinkError, Port, Session};
+use crate::link::relay::{self, Lender};
+use crate::link::{LinkError, Port, Returned, Session};
 use serde_json::{Value, json};
+use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -20,6 +23,8 @@ use twum_shared::step::ConfigSpec;
 const SLICE: Duration = Duration::from_millis(5);
 /// A port that is away is tried again this often.
 const RETRY: Duration = Duration::from_millis(500);
+/// A terminal that is done returns the board within this time: its next command waits for that.
+const RETURNING: Duration = Duration::from_secs(1);
 /// Every stream.
 pub(super) const ALL_STREAMS: CaptureMode = CaptureMode { bits: true, edges: true, control: true };
 
@@ -28,11 +33,11 @@ pub type OwnPort = Tap<Box<dyn Port>>;
 
 /// How to reach the board, and what its recordings keep of its motor.
 pub trait Bench: Send {
-    /// Opens the port.
+    /// Opens the port, over which `lender` lends the board to terminals.
     ///
     /// # Errors
     /// When it cannot be opened.
-    fn open(&mut self) -> Result<Box<dyn Port>, LinkError>;
+    fn open(&mut self, lender: Lender) -> Result<Box<dyn Port>, LinkError>;
 
     /// What a recording keeps of the motor of a board that says to be `chip` and runs with `used`.
     ///
@@ -41,7 +46,7 @@ pub trait Bench: Send {
     fn motor(&self, chip: &str, used: &Configuration) -> Result<String, String>;
 }
 
-/// What a page may ask for.
+/// What a page or a terminal may ask for.
 #[derive(Debug)]
 pub enum Command {
     /// A run, recorded.
@@ -63,6 +68,13 @@ pub enum Command {
     Configure(Box<Configuration>),
     /// Make the runs of a series that are not made yet.
     Series(Box<Task>),
+    /// Lend the board to a terminal, over this stream.
+    Lend {
+        /// The terminal's end of it is that of a program of the same user.
+        stream: UnixStream,
+        /// What for.
+        what: String,
+    },
 }
 
 type Answer = Result<Value, String>;
@@ -78,6 +90,7 @@ struct Desk {
 pub struct Owner {
     desk: Mutex<Desk>,
     board: Arc<Board>,
+    holder: Arc<Holder>,
     /// Ends every wait of the session but those that stop the motor.
     stop: &'static AtomicBool,
     quit: AtomicBool,
@@ -85,10 +98,10 @@ pub struct Owner {
 
 impl Owner {
     /// Starts the thread.
-    pub fn start(bench: Box<dyn Bench>, board: Arc<Board>) -> (Arc<Self>, JoinHandle<()>) {
+    pub fn start(bench: Box<dyn Bench>, board: Arc<Board>, holder: Arc<Holder>) -> (Arc<Self>, JoinHandle<()>) {
         // A session keeps its flag for as long as the program lives; there is one owner a program.
         let stop = Box::leak(Box::new(AtomicBool::new(false)));
-        let owner = Arc::new(Self { desk: Mutex::default(), board, stop, quit: AtomicBool::new(false) });
+        let owner = Arc::new(Self { desk: Mutex::default(), board, holder, stop, quit: AtomicBool::new(false) });
         let thread = Arc::clone(&owner);
         let thread = std::thread::spawn(move || Thread { owner: thread, bench }.work());
         (owner, thread)
@@ -129,6 +142,23 @@ impl Owner {
     pub fn quit(&self) {
         self.quit.store(true, Ordering::Relaxed);
         self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Lends the board to a terminal, while no page holds the motor and nothing is going on. Returns with the loan.
+    fn lend(&self, stream: UnixStream, what: &str) -> Result<(), String> {
+        let until = Instant::now() + RETURNING;
+        while let Err(why) = self.holder.lend() {
+            if why != HeldError::Lent || Instant::now() > until {
+                return Err(why.to_string());
+            }
+            std::thread::sleep(SLICE);
+        }
+        let what = crate::input::printable(what);
+        let lent = self
+            .ask(Command::Lend { stream, what })
+            .and_then(|answer| answer.blocking_recv().unwrap_or_else(|_| Err("the server is ending".to_owned())));
+        // After a loan the thread has returned it.
+        lent.map(|_| ()).inspect_err(|_| self.holder.is_returned())
     }
 
     fn is_stopping(&self) -> bool {
@@ -180,7 +210,12 @@ impl Thread {
     }
 
     fn open(&mut self) -> Result<OwnPort, LinkError> {
-        Ok(Tap::new(self.bench.open()?, Arc::clone(&self.owner.board)))
+        let owner = Arc::downgrade(&self.owner);
+        let lender: Lender = Arc::new(move |stream, what| match owner.upgrade() {
+            Some(owner) => owner.lend(stream, what),
+            None => Err("the server is ending".to_owned()),
+        });
+        Ok(Tap::new(self.bench.open(lender)?, Arc::clone(&self.owner.board)))
     }
 
     fn connect(&mut self) -> Result<Session<OwnPort>, LinkError> {
@@ -235,8 +270,12 @@ impl Thread {
                 return Over::Quit;
             }
             if let Some((command, answer)) = self.owner.take() {
+                let is_loan = matches!(command, Command::Lend { .. });
                 let result = self.obey(session, command, answer);
                 self.owner.is_free_again();
+                if is_loan {
+                    self.owner.holder.is_returned();
+                }
                 if let Err(error @ LinkError::Lost { .. }) = result {
                     return Over::Lost(error);
                 }
@@ -285,6 +324,11 @@ impl Thread {
                 board.ended(Ended { recording: None, ok: result.is_ok(), words });
                 return result;
             }
+            Command::Lend { stream, what } => {
+                let result = self.lend(session, &stream, &what);
+                let _ = answer.send(Ok(json!({ "returned": true })));
+                return result;
+            }
             Command::Arm => session.arm(),
             Command::Clear => session.stop(),
             Command::Configure(configuration) => session.let_go().and_then(|()| session.configure(*configuration)),
@@ -319,7 +363,7 @@ impl Thread {
         let (ok, words) = match &result {
             Ok(outcome) => words_of(outcome),
             Err(Failed::Link(error)) => (false, error.to_string()),
-            Err(Failed::Motor(words)) => (false, words.clone()),
+            Err(Failed::Other(words)) => (false, words.clone()),
         };
         let recording = name.filter(|_| path.exists());
         board.ended(Ended { recording, ok, words: format!("{what}: {words}") });
@@ -327,6 +371,28 @@ impl Thread {
             Err(Failed::Link(error)) => Err(error),
             _ => Ok(()),
         }
+    }
+
+    fn lend(&self, session: &mut Session<OwnPort>, stream: &UnixStream, what: &str) -> Result<(), LinkError> {
+        let board = &self.owner.board;
+        if relay::lent(stream).is_err() {
+            return Ok(());
+        }
+        board.doing(Some(Doing {
+            what: format!("{what}, from a terminal, which records it if anybody does"),
+            recording: None,
+            seconds: None,
+            elapsed_s: 0.0,
+        }));
+        let result = session.lend(stream, || self.owner.is_stopping());
+        let (ok, how) = match &result {
+            Ok(Returned::ByTheOther) => (true, "ended".to_owned()),
+            Ok(Returned::TakenBack) => (false, "stopped; it did not end by itself, and has lost the board".to_owned()),
+            Ok(Returned::Behind) => (false, "it did not take what the board said, and has lost it; stopped".to_owned()),
+            Err(error) => (false, error.to_string()),
+        };
+        board.ended(Ended { recording: None, ok, words: format!("{what}, from a terminal: {how}") });
+        result.map(|_| ())
     }
 
     /// Performs one run with a configuration, and records it.
@@ -340,7 +406,7 @@ impl Thread {
         // A board that this session has armed takes no configuration.
         session.let_go()?;
         let chip = session.hello()?.chip;
-        let motor = self.bench.motor(&chip, &used).map_err(Failed::Motor)?;
+        let motor = self.bench.motor(&chip, &used).map_err(Failed::Other)?;
         let experiment =
             Experiment { configuration: Some(used), capture: ALL_STREAMS, action, recording: Some(recording), motor };
         let mut reopen = || self.open();

@@ -7,7 +7,7 @@ use super::door::{self, refusal};
 use super::owner::Command;
 use super::request::Run;
 use super::settings::settings;
-use super::{App, model, runs, stream, studies};
+use super::{App, model, runs, stream, studies, sweep};
 use crate::configuration::{difference, overlay, to_toml};
 use axum::extract::{DefaultBodyLimit, State};
 use axum::http::StatusCode;
@@ -41,7 +41,8 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/api/configuration/check", post(check))
         .merge(model::routes())
         .merge(runs::routes())
-        .merge(studies::routes());
+        .merge(studies::routes())
+        .merge(sweep::routes());
     for asset in &ASSETS {
         router = router.route(asset.path, get(move || async move { asset }));
     }

@@ -1,9 +1,9 @@
 //! A planned series of runs in a folder, made one after the other: what `twum experiment run` makes, with the same files.
 
 use super::board::{Board, Doing, Ended};
-use crate::link::LinkError;
 use crate::link::bench::{Action, Outcome};
-use crate::record::series::Series;
+use crate::link::{self, LinkError};
+use crate::record::series::{RunError, Series, SeriesError, SeriesRun};
 use std::path::PathBuf;
 use std::time::Duration;
 use twum_shared::message::Configuration;
@@ -17,13 +17,11 @@ pub struct Task {
     pub series: Series,
 }
 
+/// Makes one run: with what configuration, what, recorded where, after what pause.
+pub type Record<'a> = &'a mut dyn FnMut(Configuration, Action, PathBuf, Duration) -> Result<Outcome, Failed>;
+
 /// Makes the runs that are not made yet, by `record`, which is told configuration, run, recording and the pause before it.
-pub fn make(
-    task: &Task,
-    board: &Board,
-    own: Configuration,
-    record: &mut dyn FnMut(Configuration, Action, PathBuf, Duration) -> Result<Outcome, Failed>,
-) -> Ended {
+pub fn make(task: &Task, board: &Board, own: Configuration, record: Record<'_>) -> Ended {
     let result = make_all(task, board, own, record);
     // However it ended, what was made to its end becomes a measurement.
     let measured = task.series.measure();
@@ -40,52 +38,29 @@ pub fn make(
     Ended { recording: None, ok: result.is_ok() && made == planned, words }
 }
 
-fn make_all(
-    task: &Task,
-    board: &Board,
-    own: Configuration,
-    record: &mut dyn FnMut(Configuration, Action, PathBuf, Duration) -> Result<Outcome, Failed>,
-) -> Result<(), String> {
+fn make_all(task: &Task, board: &Board, own: Configuration, record: Record<'_>) -> Result<(), String> {
     let runs = task.series.runs();
-    let total: f64 = runs.iter().map(|run| run.seconds + run.pause_s).sum();
-    for (index, run) in runs.iter().enumerate() {
-        let done: f64 = runs[..index].iter().map(|run| run.seconds + run.pause_s).sum();
+    let length = |runs: &[SeriesRun]| runs.iter().map(|run| run.seconds + run.pause_s).sum::<f64>();
+    let begins = |index: usize, run: &SeriesRun| {
+        let (number, planned, done, total) = (index + 1, runs.len(), length(&runs[..index]), length(runs));
         board.doing(Some(Doing {
             what: format!(
-                "experiment {}: run {} of {}, {}; {:.0} s of {:.0} s",
-                task.name,
-                index + 1,
-                runs.len(),
-                run.id,
-                done,
-                total
+                "experiment {}: run {number} of {planned}, {}; {done:.0} s of {total:.0} s",
+                task.name, run.id
             ),
             recording: Some(format!("{}/recordings/{}", task.name, run.id)),
             seconds: Some(run.seconds + run.pause_s),
             elapsed_s: 0.0,
         }));
-        if task.series.is_made(run).map_err(|error| error.to_string())? {
-            continue;
-        }
-        let pause = Duration::from_secs_f64(run.pause_s);
+    };
+    let made = link::series::make_all(&task.series, begins, |run, action| {
         let used = Configuration { pwm_hz: run.pwm_hz.round() as u16, ..own };
-        let outcome = record(
-            used,
-            Action::Speed(run.speed_run().map_err(|error| error.to_string())?),
-            task.series.recording(run),
-            pause,
-        )
-        .map_err(|failed| format!("run {}: {failed}", run.id))?;
-        if let Some(error) = outcome.cut() {
-            // No ordinary run: it goes by another name, and into no measurement.
-            task.series.set_aside(run).map_err(|error| error.to_string())?;
-            return Err(match error {
-                LinkError::Interrupted => format!("stopped in run {}", run.id),
-                error => format!("run {}: {error}", run.id),
-            });
-        }
-    }
-    Ok(())
+        record(used, action, task.series.recording(run), Duration::from_secs_f64(run.pause_s))
+    });
+    made.map_err(|(id, failed)| match failed {
+        Failed::Link(LinkError::Interrupted) => format!("stopped in run {id}"),
+        failed => format!("run {id}: {failed}"),
+    })
 }
 
 /// Why a run was not made.
@@ -93,8 +68,8 @@ fn make_all(
 pub enum Failed {
     /// The link's reason.
     Link(LinkError),
-    /// Board and motor do not go together.
-    Motor(String),
+    /// Another reason, in a sentence: board and motor do not go together, or the plan and its files.
+    Other(String),
 }
 
 impl From<LinkError> for Failed {
@@ -103,11 +78,23 @@ impl From<LinkError> for Failed {
     }
 }
 
+impl From<SeriesError> for Failed {
+    fn from(error: SeriesError) -> Self {
+        Self::Other(error.to_string())
+    }
+}
+
+impl From<RunError> for Failed {
+    fn from(error: RunError) -> Self {
+        Self::Other(error.to_string())
+    }
+}
+
 impl std::fmt::Display for Failed {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Link(error) => error.fmt(f),
-            Self::Motor(words) => f.write_str(words),
+            Self::Other(words) => f.write_str(words),
         }
     }
 }

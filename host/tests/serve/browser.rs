@@ -2,6 +2,7 @@
 
 use super::served::Served;
 use serde_json::{Value, json};
+use std::f64::consts::TAU;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
@@ -227,8 +228,12 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     let path = served.runs().join(format!("{}.mcap", last.as_str().unwrap()));
     assert_eq!(Recording::load(&path).unwrap().runs[0].configuration.unwrap().control.kp, 50.5);
 
+    let motor = concat!(env!("CARGO_MANIFEST_DIR"), "/crates/motor/motors/pcbmotor-30mm.toml");
+    std::fs::copy(motor, served.runs().join("mine.toml")).unwrap();
     looks_at_runs_and_the_model(&mut browser);
+    std::fs::write(served.runs().join("stator.csv"), sweep()).unwrap();
     served.has_example("bench3");
+    watches_a_sweep(&mut browser);
     diagnoses_the_example(&mut browser);
     browser.call("Page.reload", json!({}));
     browser.until("['nobody', 'another'].includes(document.body?.dataset.holder)");
@@ -250,8 +255,41 @@ fn looks_at_runs_and_the_model(browser: &mut Browser) {
     browser.script("location.hash = '#model'; 0");
     browser.until("document.querySelectorAll('#predicted .uplot').length === 3");
     browser.looks("model");
+    // The shipped motor, and the file in the folder.
+    browser.until("document.querySelectorAll('#motor option').length === 2");
+    browser.script(
+        "(s => { s.value = 'mine.toml'; s.dispatchEvent(new Event('change')); })(document.querySelector('#motor')); 0",
+    );
+    browser.until("document.querySelector('#motor').value === 'mine.toml' && document.querySelector('#predicted').dataset.turn > 1");
+    let turn = browser.script("Number(document.querySelector('#predicted').dataset.turn)").as_f64().unwrap();
     browser.script("(i => { i.value = 0; i.dispatchEvent(new Event('input')); })(document.querySelector('input[aria-label=Vrms]')); 0");
-    browser.until("document.querySelector('#predicted').dataset.turn > 1");
+    browser.until(&format!("document.querySelector('#predicted').dataset.turn > {turn}"));
+}
+
+/// A sweep that was begun: a stator of 2 kΩ and 150 pF behind a shunt of 2 kΩ, at 40 of 401 frequencies.
+fn sweep() -> String {
+    let mut text = "# sweep 42000 to 46000 Hz by 10 Hz at 6 Vpp\nfrequency_hz,time_s,v1,v2\n".to_owned();
+    for hz in (0..40).map(|i| 42e3 + 10.0 * f64::from(i)) {
+        let (re, im) = (1.0 + 1.0, 2000.0 * TAU * hz * 150e-12);
+        for k in 0..100 {
+            let (time_s, angle) = (f64::from(k) * 1e-6, TAU * hz * f64::from(k) * 1e-6);
+            text += &format!("{hz},{time_s:e},{:.6},{:.6}\n", re * angle.sin() + im * angle.cos(), angle.sin());
+        }
+        text += &format!("# done {hz}\n");
+    }
+    text
+}
+
+/// The plots of a sweep that is being made, point by point.
+fn watches_a_sweep(browser: &mut Browser) {
+    browser.script("location.hash = '#diagnosis'; 0");
+    browser.until("document.querySelector('#page-diagnosis option[value=\"stator.csv\"]')");
+    browser.script("document.querySelector('#page-diagnosis option[value=\"stator.csv\"]').selected = true; document.querySelector('#page-diagnosis details').open = true; 0");
+    browser.enter("#watch-sweep");
+    browser.until("document.querySelectorAll('#swept .uplot').length === 3 && document.querySelector('#page-diagnosis').textContent.includes('40 of 401 frequencies')");
+    browser.looks("sweep");
+    browser.script("document.querySelector('#page-diagnosis option[value=\"stator.csv\"]').selected = false; 0");
+    browser.enter("#close-sweep");
 }
 
 /// A shipped folder is diagnosed to the cause that is hidden in it; the report stands in a frame that reaches nothing else.

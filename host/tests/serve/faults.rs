@@ -3,19 +3,20 @@
 use super::page::Page;
 use super::served::Served;
 use super::simulator::{Simulator, text};
+use super::terminal::signal_to;
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use twum_host::record::store::Reader;
 
 /// A server of a board in a program of its own, aligned, with a page that holds the motor.
-fn board() -> (Simulator, Served) {
+pub fn board() -> (Simulator, Served) {
     let simulator = Simulator::start();
     let served = Served::start(&simulator.port, "127.0.0.1:0", "");
     served.until("the board answers", |state| state["connected"] == true);
     (simulator, served)
 }
 
-fn frames(path: &std::path::Path) -> u64 {
+pub fn frames(path: &std::path::Path) -> u64 {
     let mut reader = Reader::open(path).unwrap();
     while reader.next_entry().unwrap().is_some() {}
     assert!(reader.integrity().is_whole(), "{:?}", reader.integrity());
@@ -75,6 +76,28 @@ fn a_server_that_is_killed_leaves_a_motor_that_stops_itself_and_a_whole_recordin
     assert!(frames(&served.runs().join(name)) > 10);
 }
 
+/// Fails when a server ends without having stopped the motor: the board's own timeout would have to, and would latch its fault.
+#[test]
+fn a_server_that_is_asked_to_end_stops_the_motor_first() {
+    for signal in ["INT", "TERM", "HUP", "QUIT"] {
+        let (simulator, mut served) = board();
+        let page = Page::open(&served);
+        page.take();
+        let name = page.tracking();
+        std::thread::sleep(Duration::from_millis(300));
+        drop(page);
+        signal_to(&served.process, signal);
+        let since = Instant::now();
+        let ended = served.process.wait().unwrap();
+        println!("ended {:?} after {signal}, {ended}", since.elapsed());
+        assert!(ended.success(), "{signal}: {ended}");
+        // A latched fault would stay until somebody clears it.
+        let info: Value = serde_json::from_str(&simulator.say(&["info", "--json"])).unwrap();
+        assert_eq!((&info["mode"], &info["fault"]), (&json!("Idle"), &Value::Null), "{signal}");
+        assert!(frames(&served.runs().join(name)) > 10, "{signal}");
+    }
+}
+
 #[test]
 fn two_servers_on_one_port_do_not_share_it_and_the_second_says_so() {
     let (simulator, served) = board();
@@ -117,6 +140,12 @@ fn a_board_that_goes_away_is_told_of_and_nothing_resumes_when_it_is_back() {
     assert!(status == 409 || status == 200, "{answer}");
     let state = served.until("it is told of", |state| state["connected"] == false && state["doing"].is_null());
     assert!(state["trouble"].as_str().unwrap().len() > 10, "{state}");
+    let known = [&state["is_known"], &state["is_off"], &state["mode"], &state["heard_ms_ago"]];
+    assert_eq!(
+        known,
+        [&json!(false), &json!(false), &Value::Null, &Value::Null],
+        "nothing old is told as if it were so"
+    );
     assert!(frames(&served.runs().join(name)) > 10);
 
     let again = Simulator::start();

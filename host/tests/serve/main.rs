@@ -12,3 +12,5 @@ mod load;
 mod page;
 mod security;
 mod served;
+mod sweep;
+mod terminal;

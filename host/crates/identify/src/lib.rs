@@ -14,6 +14,7 @@
 
 pub mod circuit;
 pub mod fit;
+pub mod follow;
 pub mod force_factor;
 pub mod friction;
 pub mod modes;

@@ -1,7 +1,7 @@
 //! Nyquist and Bode plots of a sweep with the fitted circuit over it (thesis sections A.1.2 and A.3).
 
 use crate::identify::stator::Identification;
-use crate::identify::sweep::Sweep;
+use crate::identify::sweep::{Point, Sweep};
 use crate::report::figure::{Figure, Panel};
 use nalgebra::Complex;
 use std::f64::consts::TAU;
@@ -70,6 +70,32 @@ pub fn stator(sweep: &Sweep, found: &Identification) -> Figure {
             axis(Panel::new("frequency (kHz)", "phase (deg)").title("Bode plot: phase"))
                 .points("measured", &of(&measured, phase))
                 .line("fitted circuit", &of(&fitted, phase)),
+        )
+}
+
+/// What is measured of a sweep so far, before a circuit is fitted: Nyquist plot, magnitude and phase.
+pub fn swept(points: &[Point]) -> Figure {
+    let of = |x: fn(&Point) -> f64, y: fn(&Point) -> f64| -> Vec<(f64, f64)> {
+        points.iter().map(|point| (x(point), y(point))).collect()
+    };
+    let khz: fn(&Point) -> f64 = |point| point.frequency_hz / 1e3;
+    let nyquist = of(|point| 1e3 * point.admittance_s.re, |point| 1e3 * point.admittance_s.im);
+    let magnitude = of(khz, |point| 1e3 * point.admittance_s.norm());
+    let (least, most) = magnitude.iter().fold((f64::INFINITY, 0.0f64), |(a, b), it| (a.min(it.1), b.max(it.1)));
+    // Below a decade a logarithmic axis has hardly a number on it.
+    let axis = |panel: Panel| if most > 10.0 * least { panel.y_log() } else { panel };
+    Figure::new("")
+        .panel(
+            Panel::new("conductance G (mS)", "susceptance B (mS)").title("Nyquist plot").points("measured", &nyquist),
+        )
+        .panel(
+            axis(Panel::new("frequency (kHz)", "|Y| (mS)").title("Bode plot: magnitude"))
+                .points("measured", &magnitude),
+        )
+        .panel(
+            Panel::new("frequency (kHz)", "phase (deg)")
+                .title("Bode plot: phase")
+                .points("measured", &of(khz, |point| point.admittance_s.arg().to_degrees())),
         )
 }
 

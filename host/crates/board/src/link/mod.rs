@@ -5,21 +5,25 @@
 
 pub mod bench;
 mod commands;
+mod loan;
 mod pty;
 mod readback;
 mod recorder;
 pub mod relay;
 mod serial;
+pub mod series;
 mod session;
 mod simulated;
 mod stopping;
 
+pub use loan::{Borrowed, Returned};
 pub use pty::serve;
 pub use serial::{BAUD, SerialLink};
 pub use session::{Received, RunReport, Session, Tally, is_motor_held};
 pub use simulated::SimulatedLink;
 
-use std::time::Duration;
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
 use thiserror::Error;
 use twum_shared::Fault;
 use twum_shared::frame::PROTOCOL_VERSION;
@@ -62,6 +66,12 @@ impl Port for Box<dyn Port> {
     fn is_virtual(&self) -> bool {
         (**self).is_virtual()
     }
+}
+
+/// Time since the first port was opened: it goes on across a cable that is pulled and plugged in again, and a port that is lent.
+fn elapsed() -> Duration {
+    static FIRST_OPENED: OnceLock<Instant> = OnceLock::new();
+    FIRST_OPENED.get_or_init(Instant::now).elapsed()
 }
 
 /// What can go wrong between host and board.

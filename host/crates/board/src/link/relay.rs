@@ -1,16 +1,17 @@
 //! Reaching a board while another program holds its port: that program listens on a socket in the user's runtime directory and
 //! passes on what any terminal of the same user asks, which is who the board is, to stop, and to watch. What is answered is the
-//! board's own answer; who watches gets the board's own bytes.
+//! board's own answer; who watches gets the board's own bytes. A program that does nothing with the board itself lends it whole.
 //!
 //! The socket is in a directory that only its owner may enter. A program that is killed leaves its socket behind; nobody
 //! listens on it then, and the next program takes its place. Everybody is served at once: a stop waits for nobody.
 
 use super::stopping::STOP_AGAIN;
-use super::{LinkError, Port, Received};
+use super::{Borrowed, LinkError, Port, Received};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TrySendError, channel, sync_channel};
 use std::time::{Duration, Instant};
 use thiserror::Error;
@@ -23,8 +24,13 @@ const SLICE: Duration = Duration::from_millis(2);
 const PATIENCE: Duration = Duration::from_millis(2_500);
 /// The line of one who watches.
 const WATCH: &str = "watch";
-/// Longest line on the socket, bytes.
+/// How the line of one who borrows begins; what for follows.
+const BORROW: &str = "borrow ";
+/// What the lender says first: after it come the board's bytes.
+const LENT: &str = "\"lent\"";
+/// Longest line of a question, and of an answer, bytes.
 const LINE: u64 = 64;
+const ANSWER: u64 = 4096;
 /// What may wait for who watches, pieces of some 10 ms each; what does not fit is not seen there, and never waited for.
 const WATCHED: usize = 256;
 /// Sequences of frames that are passed on, far from those of a session, which count from zero.
@@ -67,6 +73,17 @@ pub enum RelayError {
     /// The other program did not pass it on, or the board did not answer.
     #[error("the program that holds it: {0}")]
     Failed(String),
+}
+
+/// Lends the board to who asks over the stream for what the text says, once it has said so over it ([`lent`]); or says why not.
+pub type Lender = Arc<dyn Fn(UnixStream, &str) -> Result<(), String> + Send + Sync>;
+
+/// Says over the stream that the board is lent.
+///
+/// # Errors
+/// Whoever asked is gone.
+pub fn lent(mut stream: &UnixStream) -> std::io::Result<()> {
+    writeln!(stream, "{LENT}")
 }
 
 /// The directory of sockets, made if need be: private to its owner.
@@ -123,10 +140,10 @@ pub struct Relay<P> {
 }
 
 impl<P: Port> Relay<P> {
-    /// Listens for what others ask of the board on `port`, which goes by `name`. Where no socket can be made the port works
-    /// all the same.
-    pub fn new(port: P, name: &str) -> Self {
-        let listening = directory().and_then(|directory| listen(&socket(&directory, name)));
+    /// Listens for what others ask of the board on `port`, which goes by `name`; a `lender` lends it too. Where no socket can be
+    /// made the port works all the same.
+    pub fn new(port: P, name: &str, lender: Option<Lender>) -> Self {
+        let listening = directory().and_then(|directory| listen(&socket(&directory, name), lender));
         let (socket, requests) = listening.map_or((None, None), |(path, requests)| (Some(path), Some(requests)));
         Self {
             port,
@@ -227,7 +244,7 @@ impl<P> Drop for Relay<P> {
 }
 
 /// Listens on a socket in a thread of its own, until the program ends.
-fn listen(path: &Path) -> std::io::Result<(PathBuf, Receiver<Request>)> {
+fn listen(path: &Path, lender: Option<Lender>) -> std::io::Result<(PathBuf, Receiver<Request>)> {
     let listener = match UnixListener::bind(path) {
         Ok(listener) => listener,
         // Left behind by a program that was killed: whoever listened would hold the port, and we would not.
@@ -241,21 +258,28 @@ fn listen(path: &Path) -> std::io::Result<(PathBuf, Receiver<Request>)> {
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
         for stream in listener.incoming().flatten() {
-            let sender = sender.clone();
+            let (sender, lender) = (sender.clone(), lender.clone());
             // Whoever asks may be gone before the answer.
-            std::thread::spawn(move || _ = serve(&stream, &sender));
+            std::thread::spawn(move || _ = serve(&stream, &sender, lender.as_ref()));
         }
     });
     Ok((path.to_owned(), receiver))
 }
 
-fn serve(mut stream: &UnixStream, requests: &Sender<Request>) -> std::io::Result<()> {
+fn serve(mut stream: &UnixStream, requests: &Sender<Request>, lender: Option<&Lender>) -> std::io::Result<()> {
     stream.set_read_timeout(Some(Duration::from_millis(200)))?;
     stream.set_write_timeout(Some(Duration::from_millis(200)))?;
     let mut line = String::new();
     BufReader::new(stream.take(LINE)).read_line(&mut line)?;
     if line.trim() == WATCH {
         return show(stream, requests);
+    }
+    if let Some(what) = line.trim().strip_prefix(BORROW) {
+        let asked = match lender {
+            Some(lender) => lender(stream.try_clone()?, what),
+            None => Err("it makes a run of its own, and lends the port to nobody".to_owned()),
+        };
+        return asked.or_else(|why| writeln!(stream, "{}", serde_json::json!({ "error": why })));
     }
     let known = [Asked::Stop, Asked::Hello].into_iter().find(|asked| asked.word() == line.trim());
     let answer = match known {
@@ -304,13 +328,37 @@ fn ask(port: &str, asked: Asked) -> Result<serde_json::Value, RelayError> {
     let stream = connect(port, asked.word())?;
     stream.set_read_timeout(Some(PATIENCE + Duration::from_millis(500))).map_err(failed)?;
     let mut answer = String::new();
-    BufReader::new(stream.take(4096)).read_line(&mut answer).map_err(failed)?;
+    BufReader::new(stream.take(ANSWER)).read_line(&mut answer).map_err(failed)?;
+    understood(&answer)
+}
+
+/// A line that the other program answered with.
+fn understood(answer: &str) -> Result<serde_json::Value, RelayError> {
     let answer: serde_json::Value =
-        serde_json::from_str(&answer).map_err(|_| RelayError::Failed("it gave no answer".to_owned()))?;
+        serde_json::from_str(answer).map_err(|_| RelayError::Failed("it gave no answer".to_owned()))?;
     match answer.get("error") {
         Some(error) => Err(RelayError::Failed(error.as_str().unwrap_or_default().to_owned())),
         None => Ok(answer),
     }
+}
+
+/// Borrows the board of the program that holds the port, for what the text says.
+///
+/// # Errors
+/// Nobody of this user holds the port, or who does so needs it.
+pub fn borrow(port: &str, what: &str) -> Result<Borrowed, RelayError> {
+    let failed = |error: std::io::Error| RelayError::Failed(error.to_string());
+    let what: String = what.chars().take(32).collect();
+    let stream = connect(port, &format!("{BORROW}{what}"))?;
+    stream.set_read_timeout(Some(PATIENCE)).map_err(failed)?;
+    let (mut answer, mut byte) = (Vec::new(), [0]);
+    // Byte by byte: what follows the line is the board's.
+    while byte != *b"\n" && answer.len() < ANSWER as usize {
+        (&stream).read_exact(&mut byte).map_err(failed)?;
+        answer.extend(byte);
+    }
+    understood(&String::from_utf8_lossy(&answer))?;
+    Borrowed::new(port, stream).map_err(failed)
 }
 
 /// What a board says to the program that holds its port.

@@ -1,7 +1,6 @@
-use super::{LinkError, Port};
+use super::{LinkError, Port, elapsed};
 use serialport::SerialPort;
 use std::io::{ErrorKind, Read, Write};
-use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 /// Baud rate of the link.
@@ -12,9 +11,6 @@ pub struct SerialLink {
     name: String,
     port: Box<dyn SerialPort>,
 }
-
-/// When the first port was opened: time goes on across a cable that is pulled and plugged in again.
-static FIRST_OPENED: OnceLock<Instant> = OnceLock::new();
 
 impl SerialLink {
     /// Opens a port, with both control lines released: either one can hold an ESP32 in reset or its boot loader. With
@@ -36,7 +32,7 @@ impl SerialLink {
             std::thread::sleep(Duration::from_millis(100));
         }
         let _ = port.write_request_to_send(false);
-        FIRST_OPENED.get_or_init(Instant::now);
+        elapsed();
         Ok(Self { name: name.to_owned(), port })
     }
 
@@ -100,7 +96,7 @@ impl Port for SerialLink {
     }
 
     fn elapsed(&self) -> Duration {
-        FIRST_OPENED.get().map_or(Duration::ZERO, Instant::elapsed)
+        elapsed()
     }
 
     fn is_virtual(&self) -> bool {
