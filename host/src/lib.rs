@@ -7,6 +7,7 @@ pub mod demo;
 pub mod live;
 pub mod origin;
 pub mod plot;
+pub mod pulses;
 pub mod report;
 pub mod serve;
 

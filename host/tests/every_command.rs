@@ -100,7 +100,7 @@ use Says::{Json, Refused, Serves, Slow, Text};
 
 /// A line of every command. `PORT` is a configured board on a pseudo-terminal, `NEW` a name that is not taken, `EXAMPLES` the folder of
 /// examples.
-const LINES: [(Says, &str); 49] = [
+const LINES: [(Says, &str); 50] = [
     (Json, "align --port sim"),
     (Json, "capture --port sim --seconds 0.2 --out NEW.mcap"),
     (Json, "compare run.mcap --flavour physical"),
@@ -115,6 +115,7 @@ const LINES: [(Says, &str); 49] = [
     (Json, "diagnose run.mcap --quick"),
     (Json, "driver --port sim u100,ap"),
     (Json, "experiment plan --duties 0.5,1 --trials 2"),
+    (Refused, "experiment pulses EXAMPLES/first"),
     (Json, "experiment run --port sim --duties 0.6 --trials 1 --seconds 0.5 --out NEW"),
     (Json, "export run.mcap --to csv NEW"),
     (Refused, "flash --port sim"),

@@ -17,6 +17,7 @@ use twum_host::link::bench::{Experiment, perform};
 use twum_host::link::series::make_all;
 use twum_host::link::{Port, Session};
 use twum_host::model::parameters::Flavour;
+use twum_host::pulses;
 use twum_host::record::series::{Series, SeriesError, SeriesRun, duration_ms};
 use twum_shared::message::Configuration;
 use twum_shared::step::ConfigSpec;
@@ -34,6 +35,8 @@ enum What {
     Plan(PlanArgs),
     /// Make them on a board, real or simulated, into a measurement folder
     Run(Box<RunArgs>),
+    /// Say which pulses of the drive are followed, from the runs of `experiment run --pulses`
+    Pulses(super::pulses::Args),
 }
 
 /// A first experiment: every tenth of the duty, thrice, long enough for three turns at full drive.
@@ -54,6 +57,9 @@ struct Wanted {
     /// Length of each run of a first experiment, s
     #[arg(long, default_value_t = SECONDS)]
     seconds: f64,
+    /// Instead, ask how short a pulse of the drive is followed: half duty in pulses of 10, 2, 1 and 0.5 ms, both ways
+    #[arg(long, conflicts_with_all = ["folders", "duties", "trials", "seconds"])]
+    pulses: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -97,6 +103,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     match args.what {
         What::Plan(args) => plan(&args),
         What::Run(args) => make(&args),
+        What::Pulses(args) => super::pulses::run(&args),
     }
 }
 
@@ -107,6 +114,9 @@ enum Plan {
 }
 
 fn planned(wanted: &Wanted) -> Result<Plan> {
+    if wanted.pulses {
+        return Ok(Plan::Board(pulses::plan()));
+    }
     duration_ms(wanted.seconds).context("--seconds")?;
     let duties = wanted.duties.iter().map(|d| units::duty(d)).collect::<Result<Vec<_>>>().context("--duties")?;
     if wanted.folders.is_empty() {
@@ -194,7 +204,11 @@ fn series_of(runs: &[PlannedRun]) -> Vec<SeriesRun> {
 impl Wanted {
     /// Whether a plan is asked for; none is when all is left as it is by default.
     fn is_default(&self) -> bool {
-        self.folders.is_empty() && self.duties.join(",") == DUTIES && self.trials == TRIALS && self.seconds == SECONDS
+        !self.pulses
+            && self.folders.is_empty()
+            && self.duties.join(",") == DUTIES
+            && self.trials == TRIALS
+            && self.seconds == SECONDS
     }
 }
 

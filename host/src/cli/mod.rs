@@ -28,6 +28,7 @@ mod neck;
 mod output;
 mod plot;
 mod ports;
+mod pulses;
 mod reboot;
 mod replay;
 mod run;
