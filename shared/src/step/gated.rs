@@ -166,7 +166,7 @@ impl Rotor {
         // A jump by more is no motion of this rotor: a count's worth at the encoder it is meant for.
         let error = error.max(-8 * model.full).min(8 * model.full);
         match drive {
-            // A rotor that is a tenth faster than believed is learnt within 50 ticks of drive.
+            // With a time constant of 512 ticks of drive: long against the encoder's unevenness, short against a turn.
             1 => self.full_cw = model.about(self.full_cw + error / 512),
             -1 => self.full_ccw = model.about(self.full_ccw - error / 512),
             _ => {
