@@ -184,3 +184,24 @@ fn a_server_that_ends_stops_the_motor_of_a_terminal_too() {
     let info: serde_json::Value = serde_json::from_str(&simulator.say(&["info", "--json"])).unwrap();
     assert_eq!((&info["mode"], &info["fault"]), (&"Idle".into(), &serde_json::Value::Null));
 }
+
+/// Fails when the motor is left to nobody: the terminal that runs it takes the port itself, within the command timeout, and goes on as
+/// after a cable that was out for a moment.
+#[test]
+fn a_server_that_is_killed_leaves_the_motor_to_the_terminal_that_runs_it() {
+    let (simulator, mut served) = board();
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("run.mcap");
+    let child = tracking(&served, &recording);
+    served.process.kill().unwrap();
+    served.process.wait().unwrap();
+    // Twice the command timeout: a motor that nobody holds would have stopped with its fault.
+    std::thread::sleep(Duration::from_secs(1));
+    signal_to(&child, "INT");
+    let output = child.wait_with_output().unwrap();
+    assert!(text(&output).contains("1 reconnects"), "{}", text(&output));
+    let state: serde_json::Value = serde_json::from_str(&simulator.say(&["info", "--json"])).unwrap();
+    assert!(state["mode"] == "Idle" && state["fault"].is_null(), "{state}");
+    let replay = replay_recording(&recording).unwrap();
+    assert!(replay.replay.checked > 1_500 && replay.replay.mismatched == 0, "{replay:?}");
+}
