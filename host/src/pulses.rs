@@ -11,6 +11,8 @@ use twum_shared::step::ConfigSpec;
 
 /// PWM frequencies of the runs, Hz: pulses of 10 ms, which every driver of this motor has followed, then of 2, 1 and 0.5 ms.
 const PWM_HZ: [f64; 4] = [50.0, 250.0, 500.0, 1_000.0];
+/// PWM frequencies that a board makes, Hz.
+const BOARD_HZ: std::ops::RangeInclusive<f64> = 10.0..=2_000.0;
 /// Length of each run, s: half a turn and more.
 const SECONDS: f64 = 3.0;
 /// Speed in proportion to that of the longest pulses from which on a pulse is followed. The firmware's judge of the encoder lets half of a
@@ -74,6 +76,9 @@ pub fn judge(measurement: &Measurement) -> Result<Pulses, PulsesError> {
     for run in measurement.runs.iter().filter(|run| run.kind == RunKind::Speed && run.duty == Some(0.5)) {
         let RunData::Edges { edges, .. } = &run.data else { continue };
         let driven_s = run.drive_on_s.unwrap_or((run.span_us().1 - run.span_us().0) * 1e-6);
+        if !(driven_s > 0.0 && BOARD_HZ.contains(&run.pwm_hz)) {
+            continue;
+        }
         let edges = edges.iter().filter(|edge| (0.0..=driven_s * 1e6).contains(&edge.time_us)).count() as f64;
         match found.iter_mut().find(|(pwm_hz, ..)| *pwm_hz == run.pwm_hz) {
             Some((_, all, seconds)) => (*all, *seconds) = (*all + edges, *seconds + driven_s),
@@ -131,5 +136,7 @@ mod tests {
     fn what_says_nothing_says_why() {
         assert_eq!(judge(&folder(&[(50.0, 350), (50.0, 340)])), Err(PulsesError::NoRuns));
         assert_eq!(judge(&folder(&[(50.0, 3), (500.0, 2)])), Err(PulsesError::Stands(10.0)));
+        // A folder may say anything: no board makes such a pulse.
+        assert_eq!(judge(&folder(&[(50.0, 350), (1e-300, 350), (f64::INFINITY, 9)])), Err(PulsesError::NoRuns));
     }
 }
