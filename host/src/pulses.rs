@@ -98,8 +98,10 @@ pub fn judge(measurement: &Measurement) -> Result<Pulses, PulsesError> {
             Pulse { pulse_ms, edges_s, share: edges_s / longest, followed: edges_s >= FOLLOWED * longest }
         })
         .collect();
-    let shortest = pulses.iter().take_while(|pulse| pulse.followed).last().map_or(longest, |pulse| pulse.pulse_ms);
-    let ticks = (shortest * 1e3 / f64::from(ConfigSpec::GATED.period_us)).round();
+    // The longest is followed: all are measured by it.
+    let followed = pulses.iter().take_while(|pulse| pulse.followed);
+    let shortest_ms = followed.fold(500.0 / slowest_hz, |_, pulse| pulse.pulse_ms);
+    let ticks = (shortest_ms * 1e3 / f64::from(ConfigSpec::GATED.period_us)).ceil();
     Ok(Pulses { pulses, shortest_pulse_ticks: ticks as u8 })
 }
 

@@ -143,54 +143,24 @@ impl From<HostMessage1> for HostMessage {
     }
 }
 
-/// A configuration until version 2.
+/// A configuration with an earlier controller and earlier limits.
 #[derive(Deserialize)]
-struct Configuration2 {
-    control: ConfigSpec3,
-    limits: Limits2,
+struct Earlier<C, L> {
+    control: C,
+    limits: L,
     count_sign: CountSign,
     edges_per_rev: u16,
     pwm_hz: u16,
 }
 
-impl From<Configuration2> for Configuration {
-    fn from(old: Configuration2) -> Self {
-        let Configuration2 { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
+type Configuration2 = Earlier<ConfigSpec3, Limits2>;
+type Configuration3 = Earlier<ConfigSpec3, Limits>;
+type Configuration4 = Earlier<ConfigSpec4, Limits>;
+
+impl<C: Into<ConfigSpec>, L: Into<Limits>> From<Earlier<C, L>> for Configuration {
+    fn from(old: Earlier<C, L>) -> Self {
+        let Earlier { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
         Self { control: control.into(), limits: limits.into(), count_sign, edges_per_rev, pwm_hz }
-    }
-}
-
-/// A configuration of version 3.
-#[derive(Deserialize)]
-struct Configuration3 {
-    control: ConfigSpec3,
-    limits: Limits,
-    count_sign: CountSign,
-    edges_per_rev: u16,
-    pwm_hz: u16,
-}
-
-impl From<Configuration3> for Configuration {
-    fn from(old: Configuration3) -> Self {
-        let Configuration3 { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
-        Self { control: control.into(), limits, count_sign, edges_per_rev, pwm_hz }
-    }
-}
-
-/// A configuration of version 4.
-#[derive(Deserialize)]
-struct Configuration4 {
-    control: ConfigSpec4,
-    limits: Limits,
-    count_sign: CountSign,
-    edges_per_rev: u16,
-    pwm_hz: u16,
-}
-
-impl From<Configuration4> for Configuration {
-    fn from(old: Configuration4) -> Self {
-        let Configuration4 { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
-        Self { control: control.into(), limits, count_sign, edges_per_rev, pwm_hz }
     }
 }
 
@@ -249,13 +219,23 @@ impl From<ConfigSpec3> for ConfigSpec {
     }
 }
 
-/// Control ticks until version 3.
+/// Control ticks with an earlier state.
 #[derive(Deserialize)]
-struct ControlBlock3 {
+struct EarlierBlock<S> {
     first_tick: u64,
     first_us: u64,
-    state: State3,
+    state: S,
     samples: heapless::Vec<ControlSample4, BLOCK_SAMPLES>,
+}
+
+type ControlBlock3 = EarlierBlock<State3>;
+type ControlBlock4 = EarlierBlock<State4>;
+
+impl<S: Into<State>> From<EarlierBlock<S>> for ControlBlock {
+    fn from(old: EarlierBlock<S>) -> Self {
+        let EarlierBlock { first_tick, first_us, state, samples } = old;
+        Self { first_tick, first_us, state: state.into(), samples: samples.into_iter().map(Into::into).collect() }
+    }
 }
 
 #[derive(Deserialize)]
@@ -265,22 +245,10 @@ struct State3 {
     direction: Direction,
 }
 
-impl From<ControlBlock3> for ControlBlock {
-    fn from(old: ControlBlock3) -> Self {
-        let ControlBlock3 { first_tick, first_us, state, samples } = old;
-        let State3 { integral, previous_error, direction } = state;
-        let state = State { integral, previous_error, direction, ..State::REST };
-        Self { first_tick, first_us, state, samples: samples.into_iter().map(Into::into).collect() }
+impl From<State3> for State {
+    fn from(State3 { integral, previous_error, direction }: State3) -> Self {
+        Self { integral, previous_error, direction, ..Self::REST }
     }
-}
-
-/// Control ticks of version 4.
-#[derive(Deserialize)]
-struct ControlBlock4 {
-    first_tick: u64,
-    first_us: u64,
-    state: State4,
-    samples: heapless::Vec<ControlSample4, BLOCK_SAMPLES>,
 }
 
 #[derive(Deserialize)]
@@ -289,12 +257,9 @@ struct State4 {
     reversal: Reversal,
 }
 
-impl From<ControlBlock4> for ControlBlock {
-    fn from(old: ControlBlock4) -> Self {
-        let ControlBlock4 { first_tick, first_us, state: State4 { before, reversal }, samples } = old;
-        let State3 { integral, previous_error, direction } = before;
-        let state = State { integral, previous_error, direction, reversal, ..State::REST };
-        Self { first_tick, first_us, state, samples: samples.into_iter().map(Into::into).collect() }
+impl From<State4> for State {
+    fn from(State4 { before, reversal }: State4) -> Self {
+        Self { reversal, ..before.into() }
     }
 }
 
