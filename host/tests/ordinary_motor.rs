@@ -57,3 +57,59 @@ fn the_next_inputs_are_in_the_drives_own_unit() {
     assert!(!output.status.success() && said(&output).contains("not driven by the board"), "{}", said(&output));
     assert!(!folder.path().join("new").exists());
 }
+
+/// Fails if a saved motor does not do what the answer said that it does: its error on the runs it was fitted to is the answer's, its speeds
+/// are the table's, and what does not take it says so.
+#[test]
+fn a_saved_motor_repeats_the_runs_it_was_fitted_to() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let json = |arguments: &[&str]| -> serde_json::Value {
+        let output = twum(folder.path(), arguments);
+        assert!(output.status.success(), "{arguments:?}: {}", said(&output));
+        serde_json::from_slice(&output.stdout).expect("it is JSON")
+    };
+    let answer = json(&["diagnose", EXAMPLE, "--json", "--save-model", "mine.toml"]);
+    let compared =
+        json(&["compare", EXAMPLE, "--motor", "mine.toml", "--json", "--plot", "mine.svg", "--report", "mine.html"]);
+    let [held_out, again] =
+        [&answer["extended"]["rmse_speed_rpm"], &compared["ordinary"]["rmse_speed_rpm"]].map(|v| v.as_f64().unwrap());
+    // Runs scatter a little in their gain, and one that was fitted is met a little better than one that was not.
+    assert!((again / held_out - 1.0).abs() < 0.1, "{again} rpm, {held_out} rpm held out");
+    assert_eq!(compared["ordinary"]["runs"].as_array().map(Vec::len), Some(3));
+    let too_far = twum(folder.path(), &["compare", EXAMPLE, "--motor", "mine.toml", "--max-rmse-rpm", "0.1"]);
+    assert_eq!(too_far.status.code(), Some(1), "{}", said(&too_far));
+
+    // The inverse's steady speeds, and the saved motor's own at the inputs that it gives.
+    let report = json(&["identify", "motor", EXAMPLE, "--json"]);
+    let table = report["compensation"]["table"].as_array().unwrap();
+    let last = table.last().unwrap();
+    let largest = report["largest_input"].as_f64().unwrap();
+    let duty = (last[1].as_f64().unwrap() / largest).to_string();
+    let steady = json(&["model", "speed", "--motor", "mine.toml", "--duty", &duty, "--json"]);
+    let (speed, wanted) = (steady["speed_rpm"].as_f64().unwrap(), last[0].as_f64().unwrap());
+    assert!((speed / wanted - 1.0).abs() < 1e-3, "{speed} rpm, {wanted} in the table");
+    assert_eq!(
+        json(&["model", "sweep", "--motor", "mine.toml", "--points", "5", "--json"]).as_array().map(Vec::len),
+        Some(5)
+    );
+
+    let refused = |arguments: &[&str], word: &str| {
+        let output = twum(folder.path(), arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(said(&output).contains(word), "{arguments:?}: {}", said(&output));
+    };
+    refused(&["model", "torque", "--motor", "mine.toml"], "an ordinary motor");
+    refused(&["compare", EXAMPLE], "--save-model");
+    refused(&["compare", EXAMPLE, "--motor", "pcbmotor-30mm"], "pcbmotor-30mm");
+    refused(&["model", "speed", "--motor", "mine.toml", "--set", "u=0.1"], "--set");
+    let text = std::fs::read_to_string(folder.path().join("mine.toml")).unwrap();
+    for (from, to, word) in [
+        ("lag_s =", "log_lag =", "numbers.log_lag"),
+        ("gain_rpm =", "# gain_rpm =", "gain_rpm is missing"),
+        ("largest_input =", "largest_input = -1 #", "largest_input"),
+        ("coulomb =", "coulomb = nan #", "numbers.coulomb"),
+    ] {
+        std::fs::write(folder.path().join("wrong.toml"), text.replace(from, to)).unwrap();
+        refused(&["compare", EXAMPLE, "--motor", "wrong.toml"], word);
+    }
+}

@@ -34,7 +34,7 @@ pub enum Hidden {
 
 impl Hidden {
     /// Those of the host's library, and nothing.
-    pub const ALL: [Hidden; 8] = [
+    pub const ALL: [Hidden; 9] = [
         Hidden::Nothing,
         Hidden::Coulomb,
         Hidden::DeadZone,
@@ -43,12 +43,13 @@ impl Hidden {
         Hidden::Load,
         Hidden::DeadTime,
         Hidden::Stribeck,
+        Hidden::Cogging,
     ];
 
     /// The names under which it is found; the first is its own.
     pub fn names(self) -> &'static [&'static str] {
         match self {
-            Hidden::Nothing | Hidden::Warmth | Hidden::Cogging => &[],
+            Hidden::Nothing | Hidden::Warmth => &[],
             Hidden::Coulomb => &["coulomb-friction"],
             Hidden::DeadZone => &["dead-zone"],
             Hidden::Saturation => &["high-duty-saturation"],
@@ -56,6 +57,7 @@ impl Hidden {
             Hidden::Load => &["load-bias"],
             Hidden::DeadTime => &["dead-time"],
             Hidden::Stribeck => &["stribeck-friction", "coulomb-friction"],
+            Hidden::Cogging => &["cogging"],
         }
     }
 }
@@ -160,6 +162,11 @@ impl Drive {
         self.hidden.contains(&hidden)
     }
 
+    /// Periods of cogging to a turn.
+    pub fn ripples(&self) -> f64 {
+        self.ripples
+    }
+
     /// What was drawn, in a line.
     pub fn describe(&self) -> String {
         let shape = ["sine", "levels", "PRBS", "triangle", "two sines", "chirp", "closed loop"][self.shape];
@@ -178,6 +185,27 @@ impl Drive {
             self.largest,
             self.noise
         )
+    }
+
+    /// What the host should find, by the names of its JSON: the lag, and the sizes whose equations are the host's own, as shares of the
+    /// largest input that `records` hold.
+    pub fn truth(&self, records: &[Record]) -> Vec<(&'static str, f64)> {
+        let most = records.iter().flat_map(|r| &r.input).fold(0.0f64, |a, v| a.max(v.abs())) / self.largest;
+        // Small steps of its own keep a little less than the lag they are steps of.
+        let h = self.step();
+        let mut truth = vec![("lag_s", -h / (1.0 - h / self.lag).ln())];
+        for hidden in &self.hidden {
+            truth.extend(match hidden {
+                Hidden::Coulomb => Some(("coulomb", 0.12 * self.size / most)),
+                Hidden::DeadZone => Some(("threshold", 0.15 * self.size / most)),
+                Hidden::Asymmetry => Some(("gain_asymmetry", 0.06 * self.size)),
+                Hidden::Load => Some(("bias", 0.06 * self.size / most)),
+                Hidden::DeadTime => Some(("dead_time_s", (6.0 * self.size).round() * self.period)),
+                Hidden::Cogging => Some(("cogging", 0.2 * self.size / most)),
+                Hidden::Nothing | Hidden::Saturation | Hidden::Stribeck | Hidden::Warmth => None,
+            });
+        }
+        truth
     }
 
     /// The same motor, sampled at the same rate for so many samples in so many runs.
@@ -235,6 +263,15 @@ impl Drive {
         }
     }
 
+    /// Steps in which a sample is computed, and the length of one.
+    fn steps(&self) -> usize {
+        (60.0 * self.period / self.lag).ceil().max(20.0) as usize
+    }
+
+    fn step(&self) -> f64 {
+        self.period / self.steps() as f64
+    }
+
     /// The records.
     pub fn make(&self) -> Vec<Record> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
@@ -246,8 +283,8 @@ impl Drive {
         let levels: Vec<f64> = (0..400).map(|_| rng.random_range(-1.0..1.0)).collect();
         let gain = self.gain * (1.0 + 0.003 * normal.sample(rng));
         let late = if self.has(Hidden::DeadTime) { (6.0 * self.size).round() as usize } else { 0 };
-        let steps = (60.0 * self.period / self.lag).ceil().max(20.0) as usize;
-        let h = self.period / steps as f64;
+        let steps = self.steps();
+        let h = self.step();
         let (mut speed, mut turns, mut integral) = (0.0, 0.0, 0.0);
         let mut inputs: Vec<f64> = Vec::new();
         let mut record = Record { time_us: Vec::new(), input: Vec::new(), rpm: Vec::new(), angle_rad: None };

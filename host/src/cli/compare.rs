@@ -8,10 +8,12 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::compare::closed_loop::{self, ClosedLoop};
+use twum_host::compare::ordinary::{self, Ordinary};
 use twum_host::compare::simulation::{Comparison, compare};
+use twum_host::diagnose::inertial::Model;
 use twum_host::output::{self, Existing};
 use twum_host::record::load::load_runs;
-use twum_host::record::measurement::{Measurement, RunKind};
+use twum_host::record::measurement::{Format, Measurement, RunKind};
 use twum_host::report::comparison::page;
 use twum_host::report::figure::Figure;
 
@@ -25,6 +27,8 @@ Closed-loop runs are taken apart, before anything is fitted:
   actuator    recorded duty and direction against those the recorded control signal asks for
   plant       the simulated motor under the recorded duty and direction against the recorded position
   sensor      the encoder's counts against the direction pin
+Runs of an ordinary motor (`motor = \"inertial\"`) are held against a saved one, `--motor FILE`, as `twum diagnose --save-model
+FILE` writes it: its speeds under the recorded inputs, each run from an initial speed of its own.
 A recording is checked bit for bit by `twum replay`.
 
 Examples:
@@ -33,6 +37,7 @@ Examples:
   twum compare bench3 --run d50-cw-0 --plot d50.png
   twum compare sine.mcap --report sine.html
   twum compare bench3 --json
+  twum compare gear-motor --motor mine.toml     an ordinary motor against what was found in other runs
   twum compare bench3 --max-rmse-rpm 1.5        exit code 1 when the speeds differ by more
 
 Exit code 0: compared. 1: a controller differs, or the speeds by more than allowed. 2: nothing to compare.")]
@@ -66,6 +71,9 @@ pub struct Args {
 struct Found {
     simulation: Option<Comparison>,
     closed_loops: Vec<ClosedLoop>,
+    /// Runs of an ordinary motor.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ordinary: Option<Ordinary>,
 }
 
 /// Runs `twum compare`.
@@ -87,7 +95,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     let waiting = stage(format!("simulating {} runs", measurement.runs.len()));
     let found = compared(&args, &measurement)?;
     waiting.finish_and_clear();
-    if found.simulation.is_none() && found.closed_loops.is_empty() {
+    if found.simulation.is_none() && found.closed_loops.is_empty() && found.ordinary.is_none() {
         bail!(
             "{}: nothing to compare: it takes an open-loop run with a duty, or a closed-loop run of control ticks",
             args.folder.display()
@@ -97,7 +105,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
         figure(&found, &measurement.name)?.write(path)?;
     }
     if let Some(path) = &args.report {
-        let page = page(&measurement.name, found.simulation.as_ref(), &found.closed_loops)?;
+        let page = match &found.ordinary {
+            Some(ordinary) => ordinary.page(&measurement.name),
+            None => page(&measurement.name, found.simulation.as_ref(), &found.closed_loops)?,
+        };
         page.write(path)?;
     }
     if args.json {
@@ -106,16 +117,25 @@ pub fn run(args: Args) -> Result<ExitCode> {
         print(&found);
     }
     let differs = |run: &ClosedLoop| run.controller.as_ref().is_some_and(|check| check.mismatched > 0);
-    let too_far = match (&found.simulation, args.max_rmse_rpm) {
-        (Some(comparison), Some(most)) => comparison.rmse_speed_rpm > most,
-        _ => false,
-    };
+    let rmse =
+        found.simulation.as_ref().map(|c| c.rmse_speed_rpm).or(found.ordinary.as_ref().map(|o| o.rmse_speed_rpm));
+    let too_far = rmse.zip(args.max_rmse_rpm).is_some_and(|(rmse, most)| rmse > most);
     Ok(if found.closed_loops.iter().any(differs) || too_far { ExitCode::from(1) } else { ExitCode::SUCCESS })
 }
 
 fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
+    if measurement.runs.iter().any(|run| run.format == Format::Drive) {
+        let Some(path) = args.motor.as_deref() else {
+            bail!(
+                "{0}: an ordinary motor is held against a saved one: twum diagnose {0} --save-model mine.toml, then --motor mine.toml",
+                args.folder.display()
+            )
+        };
+        let ordinary = ordinary::compare(&Model::load(path)?, measurement)?;
+        return Ok(Found { simulation: None, closed_loops: Vec::new(), ordinary: Some(ordinary) });
+    }
     let motor = motor_of(measurement, args.motor.as_deref())?
-        .context("an ordinary motor has no motor file to simulate: `twum diagnose` takes it")?;
+        .context("an ordinary motor's runs are of format `drive`; there are none here")?;
     let flavour = args.flavour.get();
     let is_open_loop = |run: &&twum_host::record::measurement::Run| run.kind == RunKind::Speed && run.duty.is_some();
     let simulation = match measurement.runs.iter().find(is_open_loop) {
@@ -129,11 +149,14 @@ fn compared(args: &Args, measurement: &Measurement) -> Result<Found> {
         .map(|run| closed_loop::compare(run, measurement.edges_per_rev, &motor, flavour))
         .collect::<Result<Vec<_>, _>>()
         .with_context(|| measurement.folder.display().to_string())?;
-    Ok(Found { simulation, closed_loops })
+    Ok(Found { simulation, closed_loops, ordinary: None })
 }
 
 /// The open-loop runs where there are some, otherwise the closed loops.
 fn figure(found: &Found, name: &str) -> Result<Figure> {
+    if let Some(ordinary) = &found.ordinary {
+        return Ok(ordinary.figure(name));
+    }
     if let Some(comparison) = &found.simulation {
         return Ok(comparison.figure(name)?);
     }
@@ -142,6 +165,9 @@ fn figure(found: &Found, name: &str) -> Result<Figure> {
 }
 
 fn print(found: &Found) {
+    if let Some(ordinary) = &found.ordinary {
+        print!("{ordinary}");
+    }
     if let Some(comparison) = &found.simulation {
         println!("Open loop, against the simulation\n{comparison}");
     }

@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::diagnose::cache::{self, Kept};
+use twum_host::diagnose::inertial::Model;
 use twum_host::diagnose::{Details, Options, answer, diagnose, known_effects, saved};
 use twum_host::input::printable;
 use twum_host::model::motor::Motor;
@@ -33,7 +34,7 @@ pub struct Args {
     /// Motor file, or the name of a shipped motor [default: the one the folder names]
     #[arg(long)]
     motor: Option<String>,
-    /// Write the refitted motor with the effects found as a motor file
+    /// Write the refitted motor with the effects found as a motor file; of an ordinary motor, as a file for `compare` and `model`
     #[arg(long, value_name = "EXTENDED.toml")]
     save_model: Option<PathBuf>,
     #[command(flatten)]
@@ -151,10 +152,15 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
     print!("{}", if args.json { kept.json } else { kept.text });
     if let Some(path) = &args.save_model {
-        let (Some(motor_file), Some(Details::Runs { problem, outcome })) = (&motor_file, &details) else {
-            bail!("--save-model needs a run of a TWUM that could be used, and a motor file");
+        let text = match (&motor_file, &details) {
+            (Some(motor_file), Some(Details::Runs { problem, outcome })) => {
+                saved::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?
+            }
+            (_, Some(Details::Inertial(outcome))) => Model::of(&measurements[0].name, outcome)
+                .context("--save-model: the runs are not of one motor; diagnose those that are")?
+                .file(&diagnosis)?,
+            _ => bail!("--save-model needs runs that could be used and, of a TWUM, a motor file"),
         };
-        let text = saved::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?;
         output::write(path, text, args.existing.into())?;
         eprintln!("wrote {}", path.display());
     }

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::diagnose::Options;
-use twum_host::diagnose::inertial::{MotorReport, diagnose_drives};
+use twum_host::diagnose::inertial::{Compensation, MotorReport, diagnose_drives};
 use twum_host::identify::{force_factor, friction, read, save, stator};
 use twum_host::model::motor::Motor;
 use twum_host::output;
@@ -48,6 +48,9 @@ struct OrdinaryMotor {
     /// Write the input of steady speeds here, as CSV (speed_rpm, input)
     #[arg(long, value_name = "FILE")]
     compensation: Option<PathBuf>,
+    /// Write the input that cancels cogging over a turn to this CSV file
+    #[arg(long, value_name = "FILE.csv")]
+    cogging: Option<PathBuf>,
     #[command(flatten)]
     existing: ExistingArgs,
     /// Seed of every random choice
@@ -278,7 +281,7 @@ fn run_force_factor(args: ForceFactor) -> Result<ExitCode> {
 }
 
 fn run_motor(args: &OrdinaryMotor) -> Result<ExitCode> {
-    if let Some(path) = &args.compensation {
+    for path in args.compensation.iter().chain(&args.cogging) {
         output::may_write(path, args.existing.into())?;
     }
     let mut measurements = Vec::new();
@@ -311,6 +314,13 @@ fn run_motor(args: &OrdinaryMotor) -> Result<ExitCode> {
             bail!("--compensation: the motor reaches one direction only in these runs")
         };
         output::write(path, compensation.csv(), args.existing.into())?;
+        eprintln!("wrote {}", path.display());
+    }
+    if let Some(path) = &args.cogging {
+        let Some(csv) = report.compensation.as_ref().and_then(Compensation::cogging_csv) else {
+            bail!("--cogging: no torque over the angle was found")
+        };
+        output::write(path, csv, args.existing.into())?;
         eprintln!("wrote {}", path.display());
     }
     if args.json {

@@ -2,5 +2,6 @@
 
 pub mod closed_loop;
 pub mod controller;
+pub mod ordinary;
 pub mod replay;
 pub mod simulation;

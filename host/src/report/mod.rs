@@ -5,6 +5,7 @@ pub mod diagnosis;
 pub mod figure;
 pub mod identified;
 pub mod neck;
+pub mod ordinary;
 pub mod page;
 pub mod run;
 pub mod speed;

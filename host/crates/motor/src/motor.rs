@@ -357,7 +357,16 @@ impl Motor {
     /// Names the key and the line of the first thing that will not do.
     pub fn parse(file: &str, text: &str) -> Result<Self, MotorError> {
         let reader = Reader { file, text };
-        reader.motor(&reader.root()?)
+        let root = reader.root()?;
+        match root.get_ref().get("plant") {
+            Some(plant) => Err(reader.key(
+                "plant",
+                plant.span().start,
+                "makes this the file of an ordinary motor, which `twum compare`, `twum model speed` and `twum model sweep` take; what \
+                 drives the board's firmware takes a TWUM",
+            )),
+            None => reader.motor(&root),
+        }
     }
 
     /// A shipped motor by its name, and nothing else: a name in somebody's data must not open a file.

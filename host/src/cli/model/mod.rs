@@ -3,6 +3,7 @@
 mod braking;
 mod check;
 mod closed_loop;
+mod ordinary;
 mod robust;
 mod steady;
 
@@ -31,6 +32,7 @@ Examples:
   twum model braking                                how much the rotor brakes with the drive off
   twum model robust --control thesis --control default    both on 200 motors that differ
   twum model check                                  the tables of docs/model.md, for this motor
+  twum model sweep --motor mine.toml                speed against input of an ordinary motor, as twum diagnose --save-model wrote it
 
 Parameters of --set are those of the thesis's section A.4: f, Vrms, Ms, Cs, Ks, eta, Rr, R0, b, n, h, Mr, Jr, Cz, Ctheta,
 u, Fext, Tload, Cn; and uoff, the friction without a wave. docs/model.md has the equations and what they leave out.")]
@@ -165,8 +167,14 @@ impl Common {
 /// Runs `twum model`.
 pub fn run(args: Args) -> Result<ExitCode> {
     match args.question {
-        Question::Speed { common, duty } => steady::speed(&common, duty),
-        Question::Sweep { common, points } => steady::sweep(&common, points),
+        Question::Speed { common, duty } => match common.ordinary()? {
+            Some(model) => ordinary::speed(&common, &model, duty),
+            None => steady::speed(&common, duty),
+        },
+        Question::Sweep { common, points } => match common.ordinary()? {
+            Some(model) => ordinary::sweep(&common, &model, points),
+            None => steady::sweep(&common, points),
+        },
         Question::Torque { common, duty, points } => steady::torque(&common, duty, points),
         Question::Braking { motor, json, plot } => braking::run(&motor, json, plot),
         Question::Check { motor, json } => check::run(&motor, json),

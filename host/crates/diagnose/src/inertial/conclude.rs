@@ -60,10 +60,8 @@ pub fn conclude(ground: &Ground, visited: &[Set], repetitions: usize, seed: u64)
     let standing = Standing::of(&scorer, visited, root, seed);
     let accepted = standing.judged.accepted(&standing.sets, Set::key, |e| EFFECTS[e].own).unwrap_or(root);
     let held = scorer.held_out(root).against(&scorer.held_out(accepted));
-    let singles: Vec<(usize, &Set)> =
-        visited.iter().filter(|s| s.parts.len() == 1).map(|s| (s.parts[0].effect, s)).collect();
-    let chance = Chance::new(ground, root, &singles, repetitions, seed);
-    let view = View { ground, scorer: &scorer, visited, root, standing: &standing, chance: &chance, seed };
+    let chance = Chance::new(ground, root, visited, repetitions, seed);
+    let view = View { ground, scorer: &scorer, visited, root, standing: &standing, chance: &chance, repetitions, seed };
     let mut findings: Vec<Finding> = accepted.parts.iter().map(|part| view.accepted(accepted, *part)).collect();
     share_out(ground, visited, root, accepted, &mut findings);
     findings.extend(view.others(accepted));
@@ -201,7 +199,9 @@ struct View<'a> {
     visited: &'a [Set],
     root: &'a Set,
     standing: &'a Standing,
+    /// Of effects alone.
     chance: &'a Chance,
+    repetitions: usize,
     seed: u64,
 }
 
@@ -222,6 +222,13 @@ impl View<'_> {
         let ambiguous = self.standing.judged.set_of(part.effect).is_some();
         let effect = &EFFECTS[part.effect];
         let parameters = estimates(self.ground, accepted, effect.forms[part.form].numbers);
+        let p_null = match less.parts.is_empty() {
+            true => self.chance.p(part.effect, Some(&held)),
+            false => {
+                let with: Vec<Set> = self.visited.iter().chain([accepted]).cloned().collect();
+                Chance::new(self.ground, &less, &with, self.repetitions, self.seed).p(part.effect, Some(&held))
+            }
+        };
         // A size that could be none is no cause yet.
         let could_be_none = parameters.iter().all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
         Finding {
@@ -234,7 +241,7 @@ impl View<'_> {
             probability: Some(self.probability(part.effect)),
             gain: held.gain(),
             gain_interval: held.gain_interval(self.seed),
-            p_null: self.chance.p(part.effect, Some(&held)),
+            p_null,
             parameters,
             conflicts: self.rivals(part.effect),
             next_experiment: effect.next_experiment.to_owned(),

@@ -1,5 +1,6 @@
 //! The runs of an ordinary motor as they are compared: inputs relative to the largest, speeds of samples or of windows.
 
+use super::angle::{KEPT, Ripple, courses};
 use twum_record::measurement::{DriveResponse, Run, RunData};
 
 /// Fewest samples of which a run is made use of.
@@ -26,6 +27,8 @@ pub struct DriveRun {
     pub windows: Option<Vec<usize>>,
     /// Angle in revolutions at each sample, measured or summed up from the speed.
     pub turns: Vec<f64>,
+    /// Cosine and sine of every order of [`Data::ripples`] over the interval after each sample; empty where there is none.
+    pub ripple: Vec<[f64; 2 * KEPT]>,
 }
 
 impl DriveRun {
@@ -48,6 +51,10 @@ impl DriveRun {
         let averaged = |v: &[f64]| v.chunks_exact(by).map(mean).collect::<Vec<f64>>();
         let every = |v: &[f64]| v.chunks_exact(by).map(|c| c[0]).collect::<Vec<f64>>();
         let (time, turns) = (every(&self.time), every(&self.turns));
+        let ripple = self
+            .ripple
+            .chunks_exact(by)
+            .map(|c| std::array::from_fn(|j| mean(&c.iter().map(|r| r[j]).collect::<Vec<f64>>())));
         let windows = self.windows.as_ref().map(|_| windows(&time, &turns));
         let rpm = windows.as_ref().map_or_else(|| averaged(&self.rpm), |w| window_speeds(&time, &turns, w));
         Self {
@@ -58,6 +65,7 @@ impl DriveRun {
             rpm,
             windows,
             turns,
+            ripple: ripple.collect(),
         }
     }
 
@@ -76,7 +84,8 @@ impl DriveRun {
             input: self.input[samples.clone()].to_vec(),
             rpm: self.rpm[rows].to_vec(),
             windows,
-            turns: self.turns[samples].to_vec(),
+            turns: self.turns[samples.clone()].to_vec(),
+            ripple: self.ripple.get(samples).unwrap_or_default().to_vec(),
         }
     }
 
@@ -97,6 +106,8 @@ pub struct Data {
     pub usual_rpm: f64,
     /// Whether the speeds of these runs have no sign although their inputs have.
     pub unsigned: bool,
+    /// Orders of a turn in which a torque may go with the angle.
+    pub ripples: Vec<Ripple>,
 }
 
 impl Data {
@@ -120,7 +131,7 @@ impl Data {
         let reaches = |side: f64| out.iter().any(|r| r.input.iter().any(|v| v * side > 0.1));
         let unsigned = reaches(1.0) && reaches(-1.0) && out.iter().all(|r| r.rpm.iter().all(|v| *v >= 0.0));
         let usual_rpm = f64::sqrt(sum / f64::max(count, 1.0));
-        (Self { runs: out, largest_input, usual_rpm, unsigned }, notes)
+        (Self { runs: out, largest_input, usual_rpm, unsigned, ripples: Vec::new() }, notes)
     }
 
     /// Other runs in the same scale.
@@ -130,7 +141,14 @@ impl Data {
             largest_input: self.largest_input,
             usual_rpm: self.usual_rpm,
             unsigned: self.unsigned,
+            ripples: self.ripples.clone(),
         }
+    }
+
+    /// The same with orders of a torque over the angle.
+    pub fn with_ripples(&self, ripples: Vec<Ripple>) -> Self {
+        let run = |(i, run): (usize, &DriveRun)| DriveRun { ripple: courses(&run.turns, i, &ripples), ..run.clone() };
+        Self { runs: self.runs.iter().enumerate().map(run).collect(), ripples, ..self.clone() }
     }
 
     /// Whether every run's input goes from one end of its range to the other and no more: its time then says nothing that it does not.
@@ -170,7 +188,16 @@ fn read(run: &Run) -> Option<Result<DriveRun, String>> {
         }
     };
     let period_s = period(&time);
-    Some(Ok(DriveRun { id: run.id.clone(), time, period_s, input: input.clone(), rpm, windows, turns }))
+    Some(Ok(DriveRun {
+        id: run.id.clone(),
+        time,
+        period_s,
+        input: input.clone(),
+        rpm,
+        windows,
+        turns,
+        ripple: Vec::new(),
+    }))
 }
 
 /// Mean speeds of windows in rpm.

@@ -38,6 +38,8 @@ pub enum Coordinate {
     Direction,
     /// The time after a change of the input.
     Time,
+    /// The angle.
+    Angle,
 }
 
 /// One way in which an effect acts.
@@ -75,7 +77,7 @@ const AROUND_THE_THRESHOLD: &str = "let the motor run down from full speed at in
 const OTHER_WAY_ROUND: &str = "mount the motor the other way round and repeat the sweep: a load changes sides, the motor's own asymmetry does not";
 
 /// The library.
-pub const EFFECTS: [Effect; 8] = [
+pub const EFFECTS: [Effect; 9] = [
     Effect {
         name: "coulomb-friction",
         says: "a friction that does not depend on the speed brakes all motion and holds the motor at small inputs",
@@ -156,6 +158,24 @@ pub const EFFECTS: [Effect; 8] = [
         next_experiment: "apply steps and sample ten times faster: a dead time shows a flat beginning, a second lag a rounded one",
         own: true,
     },
+    Effect {
+        name: "cogging",
+        says: "a torque goes with the angle: teeth and magnets hold the rotor at some places and pull it on between them",
+        equation: "u → u + A·cos(n·θ − φ), at n and another order, or u → u·(1 + A·cos(n·θ − φ))",
+        coordinate: Coordinate::Angle,
+        forms: &[
+            Form { numbers: &[P::CoggingCos, P::CoggingSin], starts: &[&[0.03, 0.0], &[0.2, 0.0]], needs: &[] },
+            Form {
+                numbers: &[P::CoggingCos, P::CoggingSin, P::Cogging2Cos, P::Cogging2Sin],
+                starts: &[&[0.1, 0.0, 0.05, 0.0]],
+                needs: &[],
+            },
+            Form { numbers: &[P::RippleCos, P::RippleSin], starts: &[&[0.1, 0.0], &[-0.1, 0.0]], needs: &[] },
+        ],
+        next_experiment: "turn slowly at three steady inputs, with an encoder read: cogging keeps its size, a torque ripple grows with the input, an \
+                          eccentric encoder's error with the speed",
+        own: false,
+    },
 ];
 
 /// Name and unit of a number in the JSON; sizes are shares of the largest input.
@@ -176,6 +196,19 @@ pub fn reported(number: P) -> (&'static str, &'static str) {
         P::Bend => ("bend", "1"),
         P::BendPower => ("bend_power_above_1", "1"),
         P::FlatTop => ("flat_share", "1"),
+        P::CoggingCos | P::CoggingSin => ("cogging", "1"),
+        P::Cogging2Cos | P::Cogging2Sin => ("cogging_2", "1"),
+        P::RippleCos | P::RippleSin => ("torque_ripple", "1"),
+    }
+}
+
+/// Of a torque over the angle, the sine that belongs to a cosine, and which of [`Data::ripples`] it is over.
+pub fn over_angle(number: P) -> Option<(P, usize)> {
+    match number {
+        P::CoggingCos => Some((P::CoggingSin, 0)),
+        P::Cogging2Cos => Some((P::Cogging2Sin, 1)),
+        P::RippleCos => Some((P::RippleSin, 0)),
+        _ => None,
     }
 }
 
@@ -230,5 +263,7 @@ pub fn free(number: P, data: &Data) -> Free {
         // Iron and amplifiers bend between at once (0) and a corner.
         P::BendPower => around_zero(1.5, (0.0, 6.0), 1e-2),
         P::FlatTop => around_zero(0.2, (0.0, 0.8), 1e-3),
+        P::CoggingCos | P::CoggingSin | P::Cogging2Cos | P::Cogging2Sin => around_zero(0.1, (-0.9, 0.9), 1e-4),
+        P::RippleCos | P::RippleSin => around_zero(0.1, (-0.9, 0.9), 1e-3),
     }
 }

@@ -82,22 +82,30 @@ fn held_out(ground: &Ground, set: &Set) -> HeldOut {
     HeldOut { loss: errors(), plain: errors(), seconds: scored.iter().flat_map(|s| s.1.iter().copied()).collect() }
 }
 
-/// Share of null data sets in which some effect does as well as each: the misfit of the line keeps its size and takes a random sign in
-/// each block.
+/// Share of null data sets in which some effect does as well as each: what a set misses keeps its size and takes a random sign in each
+/// block. Of an effect that stands beside others, the set is those others: their errors, turned about, are no chance.
 pub struct Chance {
     null: Vec<f64>,
-    /// Improvement of every effect alone on runs that were not fitted, by its index.
+    /// Improvement of every effect beside the set on runs that were not fitted, by its index.
     alone: Vec<(usize, f64)>,
 }
 
 impl Chance {
-    /// Of the sets of one effect that were visited. Each stands for its effect by the direction in which it moves the speeds.
-    pub fn new(ground: &Ground, root: &Set, singles: &[(usize, &Set)], repetitions: usize, seed: u64) -> Self {
+    /// Of the visited sets that have one effect more than `set`. Each stands for its effect by the direction in which it moves the speeds.
+    pub fn new(ground: &Ground, set: &Set, visited: &[Set], repetitions: usize, seed: u64) -> Self {
         let data = ground.data;
-        let free: Vec<_> = ground.free(&[]).into_iter().filter(|f| f.number != P::Gain).collect();
-        let (now, columns) = derivatives(data, &root.plant, &free);
-        let moved: Vec<_> = singles.iter().map(|(_, s)| simulate_all(data, &s.plant.values, &s.plant.starts)).collect();
-        let (base, effects) = (1 + free.len(), singles.len());
+        let key = set.key();
+        let more = visited.iter().filter(|s| s.parts.len() == key.len() + 1);
+        let more = more.filter_map(|s| {
+            let keys = s.key();
+            let new = *keys.iter().find(|e| !key.contains(e))?;
+            key.iter().all(|e| keys.contains(e)).then_some((new, s))
+        });
+        let more: Vec<(usize, &Set)> = more.collect();
+        let free: Vec<_> = ground.free(&set.parts).into_iter().filter(|f| f.number != P::Gain).collect();
+        let (now, columns) = derivatives(data, &set.plant, &free);
+        let moved: Vec<_> = more.iter().map(|(_, s)| simulate_all(data, &s.plant.values, &s.plant.starts)).collect();
+        let (base, effects) = (1 + free.len(), more.len());
         let mut designs = Vec::new();
         let mut owner = Vec::new();
         for (i, run) in data.runs.iter().enumerate() {
@@ -133,7 +141,7 @@ impl Chance {
         let own: Vec<usize> = (0..base).collect();
         let groups: Vec<Group> = (base..base + effects).map(|c| Group::Linear(vec![c])).collect();
         let (improvements, null) = grams.screen(&own, &groups, &[], repetitions, seed);
-        Self { null, alone: singles.iter().map(|s| s.0).zip(improvements).collect() }
+        Self { null, alone: more.iter().map(|s| s.0).zip(improvements).collect() }
     }
 
     /// The p-value of an effect by what it improves beside the others, `held`, or alone: beside another it may do more, or less.

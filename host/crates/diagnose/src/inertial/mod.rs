@@ -3,6 +3,7 @@
 //! The plant is simulated freely from its input, every number of it is fitted, and sets of effects are weighed and judged as those of
 //! a TWUM: [`super::evidence`], [`super::level`], [`super::verdict`].
 
+mod angle;
 mod apart;
 mod compensation;
 mod conclude;
@@ -11,10 +12,12 @@ mod doubts;
 mod effects;
 mod fit;
 mod held_out;
+mod model;
 mod numbers;
 mod plan;
 mod plant;
 mod report;
+mod ripple;
 mod search;
 mod sets;
 mod thin;
@@ -25,6 +28,7 @@ pub use conclude::InertialOutcome;
 pub use data::{Data, DriveRun};
 pub use effects::EFFECTS;
 pub use fit::Plant;
+pub use model::{Model, ModelError, RunAgainst};
 pub use plan::{InputRun, Piece, next_inputs};
 pub use plant::{P, Values};
 pub use report::{MotorReport, Number};
@@ -77,6 +81,8 @@ fn not_judged_reason(name: &str, data: &Data) -> Option<String> {
 /// What is asked.
 struct Asked<'a> {
     usable: Vec<usize>,
+    /// Whether a torque over the angle is among them.
+    angle: bool,
     not_judged: Vec<(String, String)>,
     repetitions: usize,
     seed: u64,
@@ -93,7 +99,8 @@ impl<'a> Asked<'a> {
             }
         }
         let repetitions = if options.quick { 150 } else { 200 };
-        Self { usable, not_judged, repetitions, seed: options.seed, progress }
+        let angle = usable.iter().any(|e| EFFECTS[*e].coordinate == effects::Coordinate::Angle);
+        Self { usable, angle, not_judged, repetitions, seed: options.seed, progress }
     }
 }
 
@@ -142,13 +149,22 @@ pub fn diagnose_drives(
 fn judged(data: &Data, asked: &Asked) -> Result<InertialOutcome, String> {
     let mut ground = Ground::new(data, asked.usable.clone());
     let root = ground.root();
-    if let Some(own) = apart::differ(&ground, &root) {
-        return each(data, asked, &own);
-    }
     if let Some(reason) = doubts::refused_line(data, &root.plant) {
         return Err(reason);
     }
-    let sets = ground.visit(root, asked.progress);
+    // An order of the angle is looked for in what the line leaves; or, once what hides it is known, in what the best set leaves.
+    let orders = |plant: &Plant, independent| asked.angle.then(|| ripple::aligned(data, plant, independent)).flatten();
+    let aligned = orders(&root.plant, ground.independent);
+    let line = root.clone();
+    if let Some(aligned) = &aligned {
+        ground = Ground::new(aligned, asked.usable.clone());
+    }
+    let mut sets = ground.visit(root, asked.progress);
+    let later = if aligned.is_none() { orders(&sets[0].plant, ground.independent) } else { None };
+    if let Some(later) = &later {
+        ground = Ground::new(later, asked.usable.clone());
+        sets = ground.visit(line, asked.progress);
+    }
     if let Some(own) = apart::differ(&ground, &sets[0]) {
         return each(data, asked, &own);
     }
@@ -192,6 +208,7 @@ mod tests {
                     rpm: vec![0.0; 600],
                     windows: None,
                     turns: vec![0.0; 600],
+                    ripple: Vec::new(),
                     input,
                 };
                 let values = hidden.iter().fold(Values::line(900.0, 0.03), |v, (p, to)| v.with(*p, *to));
@@ -200,7 +217,7 @@ mod tests {
                 run
             })
             .collect();
-        Data { runs, largest_input: 1.0, usual_rpm: 400.0, unsigned: false }
+        Data { runs, largest_input: 1.0, usual_rpm: 400.0, unsigned: false, ripples: Vec::new() }
     }
 
     fn judged(data: &Data) -> InertialOutcome {

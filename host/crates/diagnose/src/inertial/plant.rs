@@ -5,6 +5,7 @@
 //! Between two changes of the input x is constant or approaches its goal exponentially, so ω is a sum of exponentials; the
 //! instants at which the rotor stops or breaks away are found in closed form (with a second lag: stops by bisection).
 
+use super::angle::KEPT;
 use super::data::{Data, DriveRun};
 
 /// A number of the plant; 0 means absent but for the first two.
@@ -40,10 +41,49 @@ pub enum P {
     BendPower,
     /// Share of the range over which the top is flat.
     FlatTop,
+    /// Torque over the strongest order of the angle, cosine, as a share of the largest input.
+    CoggingCos,
+    /// The same, sine.
+    CoggingSin,
+    /// Torque over a second order, cosine.
+    Cogging2Cos,
+    /// The same, sine.
+    Cogging2Sin,
+    /// Share of the input's torque that goes with the strongest order of the angle, cosine.
+    RippleCos,
+    /// The same, sine.
+    RippleSin,
+}
+
+impl P {
+    /// All, in their order.
+    pub const ALL: [P; COUNT] = [
+        P::Gain,
+        P::LogLag,
+        P::Skew,
+        P::DeadTime,
+        P::SecondLag,
+        P::Coulomb,
+        P::FrictionSplit,
+        P::Stiction,
+        P::Bias,
+        P::DeadZone,
+        P::DeadSplit,
+        P::GainSplit,
+        P::Bend,
+        P::BendPower,
+        P::FlatTop,
+        P::CoggingCos,
+        P::CoggingSin,
+        P::Cogging2Cos,
+        P::Cogging2Sin,
+        P::RippleCos,
+        P::RippleSin,
+    ];
 }
 
 /// How many numbers there are.
-pub const COUNT: usize = P::FlatTop as usize + 1;
+pub const COUNT: usize = P::RippleSin as usize + 1;
 
 /// All numbers of a plant.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -154,14 +194,43 @@ struct Solver<'a> {
     lag: f64,
     second: f64,
     decays: Decays,
+    /// Whether friction may hold the rotor.
+    held: bool,
+    /// What the angle adds to the load, and takes of the input's share.
+    angle: Angle,
+}
+
+/// What a place of the angle does.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Angle {
+    /// A torque beside the input, as a share of the largest one.
+    pub torque: f64,
+    /// By how much the input's torque is larger, relative.
+    pub share: f64,
+}
+
+impl Angle {
+    /// Of a place where the courses of the orders are these.
+    pub fn of(v: &Values, wave: &[f64; 2 * KEPT]) -> Self {
+        let pair = |cos: P, sin: P, j: usize| v.get(cos) * wave[2 * j] + v.get(sin) * wave[2 * j + 1];
+        Self {
+            torque: pair(P::CoggingCos, P::CoggingSin, 0) + pair(P::Cogging2Cos, P::Cogging2Sin, 1),
+            share: pair(P::RippleCos, P::RippleSin, 0),
+        }
+    }
 }
 
 impl Solver<'_> {
+    /// What an input leaves to move the rotor against friction.
+    fn push(&self, x: f64) -> f64 {
+        x * (1.0 + self.angle.share) + self.angle.torque - self.values.get(P::Bias)
+    }
+
     /// The speed to which a motor in slip comes; where speeds are counted against the input, friction still brakes.
     fn end(&self, goal: f64, sense: f64) -> f64 {
         let v = self.values;
         let side = sense * v.get(P::Gain).signum();
-        v.get(P::Gain) * (goal - v.get(P::Bias) - side * v.friction(side))
+        v.get(P::Gain) * (self.push(goal) - side * v.friction(side))
     }
 
     /// The speed after `h` in slip towards `goal`, and the way made.
@@ -172,7 +241,7 @@ impl Solver<'_> {
             let away = s.speed - end;
             return (end + away * first, end * h + away * self.lag * (1.0 - first));
         }
-        let a = gain * (s.x - goal) / (1.0 - self.lag / self.second);
+        let a = gain * (1.0 + self.angle.share) * (s.x - goal) / (1.0 - self.lag / self.second);
         let b = s.speed - end - a;
         let way = end * h + a * self.second * (1.0 - second) + b * self.lag * (1.0 - first);
         (end + a * second + b * first, way)
@@ -200,11 +269,10 @@ impl Solver<'_> {
     /// The time for which a rotor at rest stays so within `h`, and the sense in which it then moves.
     fn rest(&self, s: &State, goal: f64, h: f64) -> (f64, f64) {
         let v = self.values;
-        let bias = v.get(P::Bias);
         let sense = |x: f64| -> f64 {
             [1.0, -1.0]
                 .into_iter()
-                .find(|side| side * (x - bias) > v.friction(*side) + v.get(P::Stiction))
+                .find(|side| side * self.push(x) > v.friction(*side) + v.get(P::Stiction))
                 .unwrap_or(0.0)
         };
         let x = if self.second == 0.0 { goal } else { s.x };
@@ -216,13 +284,19 @@ impl Solver<'_> {
         if later == 0.0 {
             return (h, 0.0);
         }
-        let threshold = bias + later * (v.friction(later) + v.get(P::Stiction));
+        let held = later * (v.friction(later) + v.get(P::Stiction)) + v.get(P::Bias) - self.angle.torque;
+        let threshold = held / (1.0 + self.angle.share);
         let t = self.second * ((goal - s.x) / (goal - threshold)).ln();
         if t < h { (t.max(0.0), later * v.get(P::Gain).signum()) } else { (h, 0.0) }
     }
 
     /// Moves the state by `h` with the actuator's output at `goal`.
     fn advance(&mut self, s: &mut State, goal: f64, h: f64) {
+        if !self.held {
+            let decay = self.decays.of(h);
+            self.move_on(s, goal, 0.0, h, decay);
+            return;
+        }
         let mut left = h;
         // Stop, rest and break-away: a handful a step at most; what is beyond would be chatter without motion.
         for _ in 0..6 {
@@ -240,11 +314,8 @@ impl Solver<'_> {
                 sense = towards;
             }
             let decay = self.decays.of(left);
-            let (speed, way) = self.slip(s, goal, sense, left, decay);
-            if speed * sense >= 0.0 {
-                s.speed = speed;
-                s.way += way;
-                s.x = if self.second == 0.0 { goal } else { goal + (s.x - goal) * decay[1] };
+            if self.slip(s, goal, sense, left, decay).0 * sense >= 0.0 {
+                self.move_on(s, goal, sense, left, decay);
                 return;
             }
             let stop = self.stop(s, goal, sense, left);
@@ -254,6 +325,14 @@ impl Solver<'_> {
             self.approach(s, goal, stop);
             left -= stop.max(1e-12 * h);
         }
+    }
+
+    /// Slips for the whole of `h`.
+    fn move_on(&mut self, s: &mut State, goal: f64, sense: f64, h: f64, decay: [f64; 2]) {
+        let (speed, way) = self.slip(s, goal, sense, h, decay);
+        s.speed = speed;
+        s.way += way;
+        s.x = if self.second == 0.0 { goal } else { goal + (s.x - goal) * decay[1] };
     }
 
     fn approach(&self, s: &mut State, goal: f64, h: f64) {
@@ -273,7 +352,9 @@ pub fn simulate(run: &DriveRun, values: &Values, start_rpm: f64, unsigned: bool)
         second = 0.0;
     }
     let kept = [(f64::NAN, [0.0; 2]); 4];
-    let mut solver = Solver { values, lag, second, decays: Decays { lags: [lag, second], kept, next: 0 } };
+    let decays = Decays { lags: [lag, second], kept, next: 0 };
+    let held = values.get(P::Coulomb) > 0.0 || values.get(P::Stiction) > 0.0;
+    let mut solver = Solver { values, lag, second, decays, held, angle: Angle::default() };
     let goals: Vec<f64> = run.input.iter().map(|u| values.actuated(*u)).collect();
     let delay = values.get(P::Skew) * run.period_s + values.get(P::DeadTime);
     let n = run.time.len();
@@ -293,6 +374,7 @@ pub fn simulate(run: &DriveRun, values: &Values, start_rpm: f64, unsigned: bool)
     let least = 1e-9 * run.period_s;
     for k in 1..n {
         let until = run.time[k];
+        solver.angle = run.ripple.get(k - 1).map_or(Angle::default(), |wave| Angle::of(values, wave));
         while applied + 1 < n && run.time[applied + 1] + delay < until - least {
             let change = run.time[applied + 1] + delay;
             if change - now > least {
@@ -341,6 +423,7 @@ mod tests {
             rpm: vec![0.0; n],
             windows: None,
             turns: vec![0.0; n],
+            ripple: Vec::new(),
         }
     }
 
@@ -355,7 +438,8 @@ mod tests {
                 let goal = v.actuated(run.input[at]);
                 let lag = v.get(P::SecondLag);
                 x = if lag > 0.0 { x + h / lag * (goal - x) } else { goal };
-                let push = x - v.get(P::Bias);
+                let angle = run.ripple.get(k - 1).map_or(Angle::default(), |wave| Angle::of(v, wave));
+                let push = x * (1.0 + angle.share) + angle.torque - v.get(P::Bias);
                 let held = v.get(P::Coulomb) + v.get(P::Stiction);
                 if speed == 0.0 && push.abs() <= held {
                     continue;
@@ -388,13 +472,16 @@ mod tests {
     fn stick_and_slip_are_those_of_small_steps() {
         let input: Vec<f64> =
             (0..120).map(|k| (0.11 * f64::from(k)).sin() * if k % 7 < 2 { 0.2 } else { 0.9 }).collect();
-        let run = run(input, 4e-3);
+        let ripple = (0..120).map(|k| [0.9, 1.7, 2.3, 0.4].map(|by| (by * f64::from(k)).sin())).collect();
+        let run = DriveRun { ripple, ..run(input, 4e-3) };
         let plain = Values::line(300.0, 0.02).with(P::Coulomb, 0.2);
         for v in [
             plain,
             plain.with(P::Stiction, 0.1).with(P::Bias, 0.05),
             plain.with(P::SecondLag, 0.006).with(P::DeadTime, 0.0102),
             Values::line(300.0, 0.02).with(P::DeadZone, 0.15).with(P::Bend, 1.5).with(P::Skew, 0.5),
+            plain.with(P::CoggingCos, 0.15).with(P::Cogging2Sin, -0.1),
+            plain.with(P::RippleSin, 0.3).with(P::SecondLag, 0.006),
         ] {
             let exact = simulate(&run, &v, 0.0, false).rpm;
             for (k, (a, b)) in exact.iter().zip(stepped(&run, &v)).enumerate() {

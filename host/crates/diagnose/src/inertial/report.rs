@@ -67,7 +67,7 @@ impl MotorReport {
             rmse_rpm: outcome.held_out.rmse(1),
             noise_floor_rpm: outcome.noise_floor,
             parameters,
-            compensation: Compensation::of(fitted, outcome.data.largest_input),
+            compensation: Compensation::of(fitted, &outcome.data.ripples, outcome.data.largest_input),
             notes: diagnosis.notes.iter().filter(|n| !n.starts_with("the motor itself")).cloned().collect(),
         })
     }

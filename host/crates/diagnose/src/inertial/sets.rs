@@ -5,8 +5,9 @@ use super::super::level::Level;
 use super::super::verdict::Course;
 use super::super::verdict::Visited;
 use super::super::weighing::{EFFECT_COST, SAME_COORDINATE};
+use super::angle::Ripple;
 use super::data::Data;
-use super::effects::{EFFECTS, Free, free};
+use super::effects::{EFFECTS, Free, free, over_angle};
 use super::fit::{Noise, Plant, log_prior, misfit, refit};
 use super::plant::{P, Values, simulate_all};
 use super::weigh::{Evidence, Terms, weigh_plant};
@@ -221,14 +222,24 @@ impl<'a> Ground<'a> {
             size.is_some_and(|f| f.bounds.0 == 0.0 && plant.values.get(f.number) < LEAST_SIZE * f.sd)
         };
         let log = if parts.iter().any(sizeless) { f64::NEG_INFINITY } else { log };
-        let score = log + prior - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
+        let orders = parts.iter().map(|p| self.orders_of(p)).max().unwrap_or(0);
+        let chosen: f64 = self.data.ripples.iter().take(orders).map(Ripple::cost).sum();
+        let score = log + prior - chosen - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
         Set { parts, plant, score, weighed, terms, courses, expanded: false }
+    }
+
+    /// How many orders of the angle a form is about.
+    fn orders_of(&self, part: &Part) -> usize {
+        let numbers = EFFECTS[part.effect].forms[part.form].numbers;
+        numbers.iter().filter_map(|n| over_angle(*n)).map(|(_, at)| at + 1).max().unwrap_or(0)
     }
 
     /// Whether a form can act beside a set: its numbers are about something that is there.
     pub fn makes_sense(&self, part: Part, beside: &[Part]) -> bool {
         let numbers = |p: &Part| EFFECTS[p.effect].forms[p.form].numbers;
-        EFFECTS[part.effect].forms[part.form].needs.iter().all(|n| beside.iter().any(|p| numbers(p).contains(n)))
+        let orders = self.orders_of(&part) <= self.data.ripples.len();
+        orders
+            && EFFECTS[part.effect].forms[part.form].needs.iter().all(|n| beside.iter().any(|p| numbers(p).contains(n)))
     }
 
     /// The set without its effect `k`: visited, or refitted.

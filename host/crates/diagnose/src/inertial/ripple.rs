@@ -1,0 +1,164 @@
+//! Torques that go with the angle: which orders of a turn stand out of what a plant leaves, and where in them each run begins.
+//!
+//! The angle is the measured one, or the sum of the measured speeds: the torque is then as any other input, known up to its size, and
+//! does not drift away from the motor. Where the angles of the runs begin at unknown places, each run has a phase of its own.
+
+use super::angle::{KEPT, MOST_ORDERS, Ripple, waves};
+use super::data::{Data, DriveRun};
+use super::fit::Plant;
+use super::plant::simulate_all;
+use nalgebra::{Complex, Matrix3, Vector3};
+use rayon::prelude::*;
+
+/// Periods that the way between the ends of a run must have: fewer are a course over the angle, not an order.
+const LEAST_PERIODS: f64 = 3.0;
+/// By how much more an order must take than any other: what goes with the input takes from many orders alike.
+const STANDS_OUT: f64 = 1.5;
+/// How many times longer than the plant's the lag may be through which an order is looked for: a rotor that teeth hold now and then looks
+/// quicker than it is.
+const LAGS: [f64; 2] = [1.0, 4.0];
+/// Rows of a run that are looked at: each order is held against all of them.
+const LOOKED_AT: usize = 8000;
+/// Phases within which the runs begin at one place: half a period would be chance.
+const AGREE_RAD: f64 = 0.3;
+/// Nats that an order must take beyond its costs before it is offered at all, as [`super::super::verdict`] names by.
+const LEAST_NATS: f64 = 10.0;
+
+/// What a torque makes of the speeds that are compared, through the lag.
+fn through_lag(run: &DriveRun, torque: impl Fn(usize) -> Complex<f64>, lag_s: f64) -> Vec<Complex<f64>> {
+    let mut speed = Complex::ZERO;
+    let mut at = Vec::with_capacity(run.time.len());
+    at.push(speed);
+    let (mut step, mut decay) = (f64::NAN, 0.0);
+    for k in 0..run.time.len() - 1 {
+        if run.time[k + 1] - run.time[k] != step {
+            step = run.time[k + 1] - run.time[k];
+            decay = (-step / lag_s).exp();
+        }
+        speed = speed * decay + torque(k) * (1.0 - decay);
+        at.push(speed);
+    }
+    match &run.windows {
+        None => at,
+        Some(ends) => {
+            let mean = |w: &[usize]| at[w[0]..w[1]].iter().sum::<Complex<f64>>() / (w[1] - w[0]) as f64;
+            ends.windows(2).map(mean).collect()
+        }
+    }
+}
+
+/// What an order takes of the residuals of a run: the squared error, and the coefficients of its torque.
+#[derive(Clone, Copy)]
+struct Taken {
+    squares: f64,
+    torque: Complex<f64>,
+}
+
+/// Least squares of a run's residuals over an order, beside what the plant predicts and a constant.
+fn taken(predicted: &[f64], rest: &[f64], wave: &[Complex<f64>]) -> Taken {
+    let n = rest.len() as f64;
+    let (mean_p, mean_r) = (predicted.iter().sum::<f64>() / n, rest.iter().sum::<f64>() / n);
+    let mean_w = wave.iter().sum::<Complex<f64>>() / n;
+    let (mut g, mut b) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
+    for ((p, r), w) in predicted.iter().zip(rest).zip(wave) {
+        let w = w - mean_w;
+        let row = Vector3::new(p - mean_p, w.re, w.im);
+        g += row * row.transpose();
+        b += row * (r - mean_r);
+    }
+    (0..3).for_each(|j| g[(j, j)] += 1e-9 * g[(j, j)] + 1e-12);
+    let solved = g.cholesky().map_or(Vector3::zeros(), |c| c.solve(&b));
+    let squares = (b.dot(&solved) - b[0] * b[0] / g[(0, 0)]).max(0.0);
+    Taken { squares, torque: Complex::new(solved[1], solved[2]) }
+}
+
+/// The residuals of a run with what they are of.
+struct Left {
+    run: DriveRun,
+    predicted: Vec<f64>,
+    rest: Vec<f64>,
+}
+
+/// The data with the orders that stand out of what a plant leaves; none where none does.
+pub fn aligned(data: &Data, plant: &Plant, independent: f64) -> Option<Data> {
+    let motions = simulate_all(data, &plant.values, &plant.starts);
+    let mut left: Vec<Left> = Vec::new();
+    for (run, mut m) in data.runs.iter().zip(motions) {
+        let rows = 0..run.rpm.len().min(LOOKED_AT);
+        m.rpm.truncate(rows.end);
+        let rest = run.rpm.iter().zip(&m.rpm).map(|(y, p)| y - p).collect();
+        left.push(Left { run: run.stretch(rows), predicted: m.rpm, rest });
+    }
+    let mut ripples: Vec<Ripple> = Vec::new();
+    while ripples.len() < KEPT {
+        let orders: Vec<usize> = (1..=MOST_ORDERS).filter(|n| ripples.iter().all(|r| r.order != *n)).collect();
+        let found =
+            LAGS.into_par_iter().map(|by| strongest(&left, by * plant.values.lag_s(), &orders)).collect::<Vec<_>>();
+        let Some(found) = found.into_iter().flatten().max_by(|a, b| a.share.total_cmp(&b.share)) else { break };
+        let ripple = Ripple { order: found.order, phases: phases(&found.runs) };
+        let nats = -0.5 * independent * (1.0 - found.share.min(0.999_999)).ln();
+        if found.share < STANDS_OUT * found.other || nats < LEAST_NATS + ripple.cost() {
+            break;
+        }
+        for (l, t) in left.iter_mut().zip(&found.runs) {
+            let wave = seen(&l.run, ripple.order, found.lag_s, false);
+            l.rest.iter_mut().zip(wave).for_each(|(r, w)| *r -= (t.torque.conj() * w).re);
+        }
+        ripples.push(ripple);
+    }
+    (!ripples.is_empty()).then(|| data.with_ripples(ripples))
+}
+
+/// What an order of torque makes of the compared speeds, steady or going with the input.
+fn seen(run: &DriveRun, order: usize, lag_s: f64, with_input: bool) -> Vec<Complex<f64>> {
+    let wave = waves(&run.turns, order);
+    through_lag(run, |k| if with_input { wave[k] * run.input[k] } else { wave[k] }, lag_s)
+}
+
+/// An order with what it takes.
+struct Found {
+    order: usize,
+    lag_s: f64,
+    /// Share of the squared error that it takes, and that the next best takes.
+    share: f64,
+    other: f64,
+    runs: Vec<Taken>,
+}
+
+/// The order that takes most through a lag.
+fn strongest(left: &[Left], lag_s: f64, orders: &[usize]) -> Option<Found> {
+    let total: f64 = left.iter().flat_map(|l| &l.rest).map(|r| r * r).sum();
+    let way = left.iter().map(|l| span(&l.run)).fold(0.0, f64::max);
+    let of = |order: usize, with_input: bool| -> Vec<Taken> {
+        left.iter().map(|l| taken(&l.predicted, &l.rest, &seen(&l.run, order, lag_s, with_input))).collect()
+    };
+    let squares = |t: &[Taken]| t.iter().map(|t| t.squares).sum::<f64>();
+    let mut found: Vec<(usize, f64, Vec<Taken>)> = orders
+        .par_iter()
+        .filter(|order| **order as f64 * way >= LEAST_PERIODS)
+        .map(|order| {
+            let [steady, driven] = [false, true].map(|with_input| of(*order, with_input));
+            let best = if squares(&driven) > squares(&steady) { driven } else { steady };
+            (*order, squares(&best), best)
+        })
+        .collect();
+    found.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let (order, most, runs) = found.first()?.clone();
+    // Orders that the way does not tell from it are it; so are its multiples.
+    let near = (1.0 / way).ceil() as usize;
+    let other = found.iter().find(|f| f.0.abs_diff(order) > near && f.0 % order != 0).map_or(0.0, |f| f.1);
+    Some(Found { order, lag_s, share: most / total, other: other / total, runs })
+}
+
+/// One phase for all runs where their angles begin at one place, as those of an encoder that keeps its zero; else each its own.
+fn phases(runs: &[Taken]) -> Vec<f64> {
+    let together: Complex<f64> = runs.iter().map(|t| t.torque * t.squares).sum();
+    let agree = runs.iter().all(|t| (t.torque * together.conj()).arg().abs() < AGREE_RAD);
+    runs.iter().map(|t| if agree { together.arg() } else { t.torque.arg() }).collect()
+}
+
+/// The way between the ends of what a run went through, in turns.
+fn span(run: &DriveRun) -> f64 {
+    let (low, high) = run.turns.iter().fold((f64::MAX, f64::MIN), |(a, b), t| (a.min(*t), b.max(*t)));
+    high - low
+}
