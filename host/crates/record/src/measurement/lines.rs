@@ -157,7 +157,12 @@ impl Lines {
 
     /// A time that lies after the one before it and within the longest record.
     pub(super) fn time(&self, field: Field<'_>, clock: &mut Clock) -> Result<f64, MeasurementError> {
-        let time_us = self.number(field, "time_us")?;
+        self.time_in(1.0, field, clock)
+    }
+
+    /// The same of a column whose unit is so many µs.
+    pub(super) fn time_in(&self, unit_us: f64, field: Field<'_>, clock: &mut Clock) -> Result<f64, MeasurementError> {
+        let time_us = unit_us * self.number(field, "time_us")?;
         if time_us.abs() > MAX_TIME_US {
             return Err(self.error(field.column, format!("time_us {time_us} is out of range")));
         }

@@ -1,6 +1,7 @@
 //! `measurement.toml`.
 
 use super::lines::{self, Budget};
+use super::units::{PositionUnit, SpeedUnit, TimeUnit, Units};
 use super::{
     ControlGains, ControlSpec, DEFAULT_EDGES_PER_REV, DEFAULT_PWM_HZ, Direction, Format, MANIFEST, MAX_RUNS,
     Measurement, MeasurementError, Run, RunKind, packed, table,
@@ -20,6 +21,19 @@ pub(super) struct Manifest {
     pub(super) motor: Spanned<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) edges_per_rev: Option<Spanned<u32>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) time_unit: Option<TimeUnit>,
+    /// Says what the inputs are in; they are taken as they are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) input_unit: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) position_unit: Option<PositionUnit>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) speed_unit: Option<SpeedUnit>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) counts_per_turn: Option<Spanned<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) mm_per_turn: Option<Spanned<f64>>,
     #[serde(default)]
     pub(super) run: Vec<Entry>,
 }
@@ -107,6 +121,7 @@ fn read(folder: &Path, manifest: Text, files: &impl Files) -> Result<Measurement
             .map_err(|what| manifest.error(parsed.motor.span(), format!("motor: {what}")))?;
     }
     let edges_per_rev = edges_per_rev(&parsed, &manifest)?;
+    let units = units(&parsed, &manifest)?;
     let mut budget = Budget::new();
     let mut ids = HashSet::new();
     let mut runs = Vec::with_capacity(parsed.run.len());
@@ -118,7 +133,7 @@ fn read(folder: &Path, manifest: Text, files: &impl Files) -> Result<Measurement
         if !ids.insert(id.clone()) {
             return Err(manifest.error(entry.id.span(), format!("id `{id}` names two runs")));
         }
-        runs.push(entry.load(files, &manifest, &mut budget)?);
+        runs.push(entry.load(files, &manifest, &units, &mut budget)?);
     }
     Ok(Measurement {
         name: parsed.name,
@@ -143,8 +158,30 @@ fn edges_per_rev(parsed: &Manifest, manifest: &Text) -> Result<u32, MeasurementE
     }
 }
 
+fn units(parsed: &Manifest, manifest: &Text) -> Result<Units, MeasurementError> {
+    let above_0 = |value: &Option<Spanned<f64>>, key: &str| match value {
+        Some(value) if !(value.get_ref().is_finite() && *value.get_ref() > 0.0) => {
+            Err(manifest.error(value.span(), format!("{key} {} is not above 0", value.get_ref())))
+        }
+        value => Ok(value.as_ref().map(|value| *value.get_ref())),
+    };
+    Ok(Units {
+        time: parsed.time_unit,
+        position: parsed.position_unit,
+        speed: parsed.speed_unit,
+        counts_per_turn: above_0(&parsed.counts_per_turn, "counts_per_turn")?,
+        mm_per_turn: above_0(&parsed.mm_per_turn, "mm_per_turn")?,
+    })
+}
+
 impl Entry {
-    fn load(self, files: &impl Files, manifest: &Text, budget: &mut Budget) -> Result<Run, MeasurementError> {
+    fn load(
+        self,
+        files: &impl Files,
+        manifest: &Text,
+        units: &Units,
+        budget: &mut Budget,
+    ) -> Result<Run, MeasurementError> {
         let path = files
             .resolve(self.file.get_ref())
             .map_err(|what| manifest.error(self.file.span(), format!("file: {what}")))?;
@@ -182,7 +219,7 @@ impl Entry {
             aligned: self.aligned.unwrap_or(false),
             order: self.order,
             control: self.control.as_ref().map(|control| control_spec(control, manifest)).transpose()?,
-            data: table::read(files.open(&path)?, &path, self.format, budget)?,
+            data: table::read(files.open(&path)?, &path, self.format, units, budget)?,
             id: self.id.into_inner(),
             file: self.file.into_inner(),
         })

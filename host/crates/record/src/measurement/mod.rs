@@ -12,6 +12,7 @@ mod lines;
 mod manifest;
 mod packed;
 mod table;
+mod units;
 mod write;
 
 pub use control::ControlError;

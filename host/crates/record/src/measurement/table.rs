@@ -1,6 +1,7 @@
 //! The tables of a measurement folder: a header, then rows of numbers.
 
 use super::lines::{Budget, Clock, Lines};
+use super::units::Units;
 use super::{ControlRow, Direction, DriveResponse, Format, LevelEdge, MeasurementError, RunData, packed};
 use std::io::BufRead;
 use std::path::Path;
@@ -10,6 +11,7 @@ pub(super) fn read(
     reader: Box<dyn BufRead>,
     path: &Path,
     format: Format,
+    units: &Units,
     budget: &mut Budget,
 ) -> Result<RunData, MeasurementError> {
     let mut lines = Lines::new(reader, path);
@@ -19,7 +21,7 @@ pub(super) fn read(
         Format::Packed => packed::read(&mut lines, budget),
         Format::Velocity => velocity(&mut lines, budget),
         Format::Control => control(&mut lines, budget),
-        Format::Drive => drive(&mut lines, budget),
+        Format::Drive => drive(&mut lines, units, budget),
     }
 }
 
@@ -139,16 +141,38 @@ fn control(lines: &mut Lines, budget: &mut Budget) -> Result<RunData, Measuremen
     Ok(RunData::Control(rows))
 }
 
-fn drive(lines: &mut Lines, budget: &mut Budget) -> Result<RunData, MeasurementError> {
-    let is_speed = lines.header(&["time_us,input,position_rad", "time_us,input,speed_rpm"])? == 1;
-    let name = if is_speed { "speed_rpm" } else { "position_rad" };
+/// The headers of an ordinary motor: units in the names, or in `measurement.toml`.
+const DRIVE: [&str; 8] = [
+    "time_us,input,position_rad",
+    "time_us,input,speed_rpm",
+    "time,input,position_rad",
+    "time,input,speed_rpm",
+    "time_us,input,position",
+    "time_us,input,speed",
+    "time,input,position",
+    "time,input,speed",
+];
+
+fn drive(lines: &mut Lines, units: &Units, budget: &mut Budget) -> Result<RunData, MeasurementError> {
+    let header = DRIVE[lines.header(&DRIVE)?];
+    let unit = |named: bool, of: Result<f64, String>| match named {
+        true => Ok(1.0),
+        false => of.map_err(|what| lines.error(1, what)),
+    };
+    let is_speed = header.contains("speed");
+    let unit_us = unit(header.starts_with("time_us"), units.time_us())?;
+    let by = match is_speed {
+        true => unit(header.ends_with("_rpm"), units.speed_rpm())?,
+        false => unit(header.ends_with("_rad"), units.position_rad())?,
+    };
+    let name = if is_speed { "speed" } else { "position" };
     let mut clock = Clock::default();
     let (mut time_us, mut input, mut values) = (Vec::new(), Vec::new(), Vec::new());
     while lines.advance()? {
         let [time, known, measured] = lines.fields::<3>()?;
-        budget.push(&mut time_us, lines.time(time, &mut clock)?, lines)?;
+        budget.push(&mut time_us, lines.time_in(unit_us, time, &mut clock)?, lines)?;
         budget.push(&mut input, lines.number(known, "input")?, lines)?;
-        budget.push(&mut values, lines.number(measured, name)?, lines)?;
+        budget.push(&mut values, by * lines.number(measured, name)?, lines)?;
     }
     two_rows(lines, time_us.len())?;
     let response = if is_speed { DriveResponse::SpeedRpm(values) } else { DriveResponse::PositionRad(values) };

@@ -211,6 +211,47 @@ fn the_measured_examples_load() {
     assert_eq!((input[0], rpm[0]), (-254.0, -648.33));
 }
 
+/// Fails if a unit is taken for another, or a column without one is taken for anything.
+#[test]
+fn an_ordinary_motors_units_are_those_the_folder_names() {
+    let loaded = |units: &str, header: &str| {
+        let manifest = format!(
+            "name = \"n\"\nmotor = \"inertial\"\n{units}\n[[run]]\nid = \"a\"\nkind = \"speed\"\nfile = \"a.csv\"\nformat = \"drive\"\n"
+        );
+        let dir = folder(&manifest, &[("a.csv", format!("{header}\n0,0,0\n2,0.5,36\n").as_bytes())]);
+        Measurement::load(dir.path()).map(|mut m| m.runs.remove(0).data).map_err(|e| e.to_string())
+    };
+    let tau = std::f64::consts::TAU;
+    for (units, header, last_us, last) in [
+        ("time_unit = \"ms\"\nspeed_unit = \"rad/s\"\ninput_unit = \"V\"", "time,input,speed", 2e3, 36.0 * 60.0 / tau),
+        ("time_unit = \"s\"\nspeed_unit = \"deg/s\"", "time,input,speed", 2e6, 6.0),
+        ("speed_unit = \"turns/s\"", "time_us,input,speed", 2.0, 2160.0),
+        ("speed_unit = \"counts/s\"\ncounts_per_turn = 72", "time_us,input,speed", 2.0, 30.0),
+        ("speed_unit = \"mm/s\"\nmm_per_turn = 5", "time_us,input,speed", 2.0, 432.0),
+        ("position_unit = \"deg\"", "time_us,input,position", 2.0, tau / 10.0),
+        ("position_unit = \"counts\"\ncounts_per_turn = 144", "time_us,input,position", 2.0, tau / 4.0),
+        ("position_unit = \"m\"\nmm_per_turn = 72000", "time_us,input,position", 2.0, tau / 2.0),
+        ("position_unit = \"turns\"\ntime_unit = \"ms\"", "time,input,position_rad", 2e3, 36.0),
+    ] {
+        let RunData::Drive { time_us, input, response } = loaded(units, header).unwrap() else { panic!() };
+        let (DriveResponse::SpeedRpm(values) | DriveResponse::PositionRad(values)) = response;
+        assert_eq!((time_us[1], input[1]), (last_us, 0.5), "{units}");
+        assert!((values[1] / last - 1.0).abs() < 1e-12, "{units}: {}", values[1]);
+    }
+    for (units, header, word) in [
+        ("", "time,input,speed_rpm", "time_unit"),
+        ("", "time_us,input,speed", "speed_unit"),
+        ("", "time_us,input,position", "position_unit"),
+        ("speed_unit = \"m/s\"", "time_us,input,speed", "mm_per_turn"),
+        ("position_unit = \"counts\"", "time_us,input,position", "counts_per_turn"),
+        ("position_unit = \"mm\"\nmm_per_turn = 0", "time_us,input,position", "mm_per_turn 0 is not above 0"),
+        ("time_unit = \"minutes\"", "time,input,speed_rpm", "minutes"),
+    ] {
+        let error = loaded(units, header).unwrap_err();
+        assert!(error.contains(word), "{units}, {header}: {error}");
+    }
+}
+
 fn times(count: usize) -> impl Strategy<Value = Vec<f64>> {
     (-1e9..1e9, prop::collection::vec(0.001..1e6f64, count)).prop_map(|(start, steps)| {
         steps

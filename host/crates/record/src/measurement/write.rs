@@ -37,6 +37,13 @@ pub(super) fn save(measurement: &Measurement, folder: &Path) -> Result<Measureme
         name: measurement.name.clone(),
         motor: spanned(motor_name),
         edges_per_rev: Some(spanned(measurement.edges_per_rev)),
+        // What was read is in the units of the columns' names.
+        time_unit: None,
+        input_unit: None,
+        position_unit: None,
+        speed_unit: None,
+        counts_per_turn: None,
+        mm_per_turn: None,
         run: entries,
     };
     let text = toml::to_string(&manifest)
