@@ -278,13 +278,28 @@ fn share(hits: usize, of: usize) -> String {
     )
 }
 
+/// A number that was said, and what it is.
+#[derive(Debug)]
+struct Told {
+    name: &'static str,
+    value: f64,
+    interval: [f64; 2],
+    truth: f64,
+}
+
+impl Told {
+    fn is_held(&self) -> bool {
+        self.interval[0] <= self.truth && self.truth <= self.interval[1]
+    }
+}
+
 /// One motor drawn at random, and what was said of it.
 struct Case {
     hidden: Vec<Hidden>,
     seed: u64,
     answer: Diagnosis,
-    /// Name, value with its interval, and truth of every number that has one.
-    numbers: Vec<(&'static str, [f64; 3], f64)>,
+    /// Every number that has a truth.
+    numbers: Vec<Told>,
     seconds: f64,
 }
 
@@ -297,17 +312,17 @@ impl Case {
         let (answer, details) = answer_with(records);
         let own = |name: &str| match &details {
             Some(Details::Inertial(outcome)) => {
-                outcome.own.iter().find(|e| e.name == name).map(|e| [e.value, e.interval[0], e.interval[1]])
+                outcome.own.iter().find(|e| e.name == name).map(|e| (e.value, e.interval))
             }
             _ => None,
         };
         let said = |name: &str| {
             let suspected = answer.effects.iter().filter(|e| e.status != "rejected");
             let of = suspected.filter_map(|e| e.parameters.get(name)).next();
-            of.map(|p| [p.value, p.ci95[0], p.ci95[1]]).or_else(|| own(name))
+            of.map(|p| (p.value, p.ci95)).or_else(|| own(name))
         };
-        let numbers: Vec<(&str, [f64; 3], f64)> =
-            truth.into_iter().filter_map(|(name, truth)| said(name).map(|s| (name, s, truth))).collect();
+        let told = |(name, truth)| said(name).map(|(value, interval)| Told { name, value, interval, truth });
+        let numbers: Vec<Told> = truth.into_iter().filter_map(told).collect();
         let seconds = begun.elapsed().as_secs_f64();
         println!(
             "{hidden:?} {seed}: {:?} named {:?} suspected {:?} unknown {:?}; {}; {numbers:?} {seconds:.1} s",
@@ -410,32 +425,27 @@ fn three_hundred_drives() {
     let sure: Vec<_> = sure.filter(|(_, e)| e.status == "named" && e.probability.is_some_and(|p| p >= 0.95)).collect();
     let right = |(c, e): &&(&Case, &EffectAnswer)| c.hidden.iter().any(|h| h.names().contains(&e.name.as_str()));
     row("named with a probability ≥ 0.95: right", share(sure.iter().filter(right).count(), sure.len()), "≥ 93 %");
-    let held = |n: &&(&str, [f64; 3], f64)| n.1[1] <= n.2 && n.2 <= n.1[2];
     let judged = |c: &&Case| {
-        !c.wrong_name()
-            && c.hidden.iter().all(|h| c.found(*h) || *h == Hidden::Nothing)
-            && c.hidden[0] != Hidden::Warmth
+        let found = c.hidden.iter().all(|h| c.found(*h) || *h == Hidden::Nothing);
+        found && !c.wrong_name() && c.hidden[0] != Hidden::Warmth
     };
-    let numbers: Vec<_> = cases.iter().filter(judged).flat_map(|c| &c.numbers).collect();
-    row(
-        "95 % intervals that hold the truth, all",
-        share(numbers.iter().copied().filter(held).count(), numbers.len()),
-        "90 to 98 %",
-    );
-    let mut names: Vec<&str> = numbers.iter().map(|n| n.0).collect();
+    let numbers: Vec<&Told> = cases.iter().filter(judged).flat_map(|c| &c.numbers).collect();
+    let held = |some: &[&Told]| share(some.iter().filter(|n| n.is_held()).count(), some.len());
+    row("95 % intervals that hold the truth, all", held(&numbers), "90 to 98 %");
+    let mut names: Vec<&str> = numbers.iter().map(|n| n.name).collect();
     names.sort_unstable();
     names.dedup();
     table.push_str("\n| number | 95 % intervals that hold the truth | error of the middle one | half width of the middle one |\n|---|---|---|---|\n");
     for name in names {
-        let some: Vec<_> = numbers.iter().copied().filter(|n| n.0 == name).collect();
-        let middle = |of: &dyn Fn(&(&str, [f64; 3], f64)) -> f64| {
-            let mut all: Vec<f64> = some.iter().map(|n| 100.0 * of(n) / n.2.abs()).collect();
+        let some: Vec<&Told> = numbers.iter().copied().filter(|n| n.name == name).collect();
+        let middle = |of: &dyn Fn(&Told) -> f64| {
+            let mut all: Vec<f64> = some.iter().map(|n| 100.0 * of(n) / n.truth.abs()).collect();
             all.sort_by(f64::total_cmp);
             all[all.len() / 2]
         };
-        let covered = share(some.iter().copied().filter(held).count(), some.len());
-        let (error, half) = (middle(&|n| (n.1[0] - n.2).abs()), middle(&|n| 0.5 * (n.1[2] - n.1[1])));
-        table.push_str(&format!("| `{name}` | {covered} | {error:.1} % | {half:.1} % |\n"));
+        let (error, half) =
+            (middle(&|n| (n.value - n.truth).abs()), middle(&|n| 0.5 * (n.interval[1] - n.interval[0])));
+        table.push_str(&format!("| `{name}` | {} | {error:.1} % | {half:.1} % |\n", held(&some)));
     }
     table.push_str("\n| hidden | found | named | a wrong name | `none` |\n|---|---|---|---|---|\n");
     for h in singles.iter().chain(&[Hidden::Warmth]) {
