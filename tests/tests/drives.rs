@@ -463,8 +463,9 @@ fn three_hundred_drives() {
     let longest = cases.iter().map(|c| c.seconds).fold(0.0, f64::max);
     println!("{table}\nlongest {longest:.1} s; seeds {from} to {}", cases.iter().map(|c| c.seed).max().unwrap_or(from));
     if std::env::var_os("TWUM_WRITE_DOCS").is_some() {
+        let less = if part == 1 { String::new() } else { format!("TWUM_DRIVES={part} ") };
         let text = format!(
-            "# Ordinary motors: how often the diagnosis finds what is hidden, and how often it errs\n\nPrinted by `TWUM_WRITE_DOCS=1 cargo test --release \
+            "# Ordinary motors: how often the diagnosis finds what is hidden, and how often it errs\n\nPrinted by `TWUM_WRITE_DOCS=1 {less}cargo test --release \
              -p twum-tests --test drives -- --ignored --nocapture three_hundred` from {} motors that nothing in the diagnosis was chosen on (seeds from \
              {from}): orders of magnitude of gain, lag, noise and sampling, seven shapes of input, one of them a closed loop, and three kinds of sensor are \
              drawn. Sizes are not scaled to what the record can show. Intervals are 95 % Wilson intervals.\n\n{table}",
