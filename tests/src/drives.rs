@@ -196,6 +196,8 @@ impl Drive {
         let mut truth = vec![("lag_s", -h / (1.0 - h / self.lag).ln())];
         for hidden in &self.hidden {
             truth.extend(match hidden {
+                // Under a bend it is a share of what the host takes for the unbent gain.
+                Hidden::Coulomb if self.has(Hidden::Saturation) => None,
                 Hidden::Coulomb => Some(("coulomb", 0.12 * self.size / most)),
                 Hidden::DeadZone => Some(("threshold", 0.15 * self.size / most)),
                 Hidden::Asymmetry => Some(("gain_asymmetry", 0.06 * self.size)),
