@@ -46,6 +46,8 @@ function showState() {
   const silent = (performance.now() - here.heard) / 1000;
   if (!here.open) [words, kind] = ["no connection to the server", "unknown"];
   else if (silent > 1) [words, kind] = [`nothing heard of the server since ${silent.toFixed(0)} s`, "unknown"];
+  // With a board or without one, the generator drives the stator.
+  else if (now.doing?.what.startsWith("sweep") && !now.fault) [words, kind] = ["sweeping", "on"];
   else if (!now.connected) [words, kind] = [now.trouble ?? "the board does not answer", "unknown"];
   else if (now.heard_ms_ago == null || now.heard_ms_ago > 1000) [words, kind] = [`the board says nothing${now.heard_ms_ago == null ? "" : ` since ${(now.heard_ms_ago / 1000).toFixed(0)} s`}`, "unknown"];
   else if (now.fault) [words, kind] = [`FAULT ${now.fault.name}`, "fault"];

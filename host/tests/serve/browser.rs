@@ -234,6 +234,7 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     std::fs::write(served.runs().join("stator.csv"), sweep()).unwrap();
     served.has_example("bench3");
     watches_a_sweep(&mut browser);
+    sweeps_a_stator(&mut browser);
     diagnoses_the_example(&mut browser);
     browser.call("Page.reload", json!({}));
     browser.until("['nobody', 'another'].includes(document.body?.dataset.holder)");
@@ -290,6 +291,42 @@ fn watches_a_sweep(browser: &mut Browser) {
     browser.looks("sweep");
     browser.script("document.querySelector('#page-diagnosis option[value=\"stator.csv\"]').selected = false; 0");
     browser.enter("#close-sweep");
+}
+
+/// A sweep that is begun here, stopped by a key, gone on with, and identified.
+fn sweeps_a_stator(browser: &mut Browser) {
+    let set = |label: &str, value: &str| {
+        format!(
+            "(i => {{ i.value = '{value}'; i.dispatchEvent(new Event('input')); }})([...document.querySelectorAll('#sweeping label')].find(l => l.textContent === '{label}').querySelector('input')); 0"
+        )
+    };
+    browser.enter("#sweeping summary");
+    browser.until("document.querySelector('#sweeping').open && !document.querySelector('#sweep').disabled");
+    browser.looks("to-sweep");
+    for (label, value) in [("from, Hz", "42000"), ("to, Hz", "46000"), ("step, Hz", "10")] {
+        browser.script(&set(label, value));
+    }
+    browser.enter("#sweep");
+    let swept = "Number(document.querySelector('#swept').parentElement.dataset.taken)";
+    browser.until(&format!("{swept} > 20 && document.querySelectorAll('#swept .uplot').length === 3"));
+    browser.looks("sweeping");
+    browser.key("Escape", 27);
+    browser.until("document.querySelector('#said').textContent.includes('stopped after') && document.querySelector('#said').textContent.includes('the generator is off')");
+    let taken = browser.script(swept).as_f64().unwrap();
+    assert!(taken < 401.0, "{taken}");
+    browser.until("!document.querySelector('#sweep').disabled");
+    browser.enter("#sweep");
+    browser.until(&format!(
+        "{swept} === 401 && document.querySelector('#doing').textContent.includes('done; the generator is off')"
+    ));
+    browser.until("document.querySelector('#page-diagnosis option[value=\"stator-1.csv\"]')?.selected");
+    browser.enter("#circuit");
+    browser.until("document.querySelector('#page-diagnosis iframe')");
+    browser.until("document.querySelector('#page-diagnosis pre').textContent.includes('fs')");
+    std::thread::sleep(Duration::from_secs(1));
+    browser.looks("stator");
+    browser.enter("#close-sweep");
+    browser.script("document.querySelector('#page-diagnosis option[value=\"stator-1.csv\"]').selected = false; document.querySelector('#page-diagnosis iframe').remove(); 0");
 }
 
 /// A shipped folder is diagnosed to the cause that is hidden in it; the report stands in a frame that reaches nothing else.
