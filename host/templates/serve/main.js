@@ -12,8 +12,8 @@ const byId = id => document.getElementById(id);
 
 async function stop() {
   try {
-    await post("/api/stop");
-    say("stopped: the board says that the drive is off", false);
+    const { sweep } = await post("/api/stop");
+    say(sweep ?? "stopped: the board says that the drive is off", Boolean(sweep));
   } catch (error) {
     say(`STOP: ${error.message}`);
   }
@@ -24,6 +24,8 @@ byId("stop").onclick = event => { if (event.detail === 0) stop(); };
 
 // The keys stop from everywhere. Where a person writes, a space is a space; Escape stops there too.
 window.addEventListener("keydown", event => {
+  // Space is taken: Enter ticks a box.
+  if (event.key === "Enter" && event.target.matches?.("input[type=checkbox]")) event.target.click();
   const writes = event.target.matches?.("textarea, input:not([type=checkbox]):not([type=radio]):not([type=range]):not([type=number])");
   if (event.key === "Escape" || (event.key === " " && !writes)) {
     event.preventDefault();

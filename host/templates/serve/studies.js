@@ -90,6 +90,7 @@ function show(study) {
   const printed = element("pre");
   get("/api/study/text", { study }).then(it => { printed.textContent = it.text; }).catch(error => say(error.message));
   frame.replaceChildren(element("details", {}, element("summary", { textContent: "as the command line prints it" }), printed), element("iframe", { src: `/api/study/page?study=${study}`, title: "the answer", sandbox: "allow-scripts" }));
+  frame.scrollIntoView();
 }
 
 async function take(study) {
@@ -102,7 +103,7 @@ export const diagnosis = {
   build(place) {
     chosen = element("select", { multiple: true, size: 8, ariaLabel: "runs and folders, diagnosed together" });
     studies = element("div");
-    frame = element("div");
+    frame = element("div", { id: "answer" });
     const quick = element("input", { type: "checkbox", checked: true });
     const names = () => [...chosen.selectedOptions].map(option => option.value);
     const start = question => act(async () => { shownStudy = "next"; await post("/api/study", question()); await look(); });
