@@ -4,17 +4,21 @@ use super::output::answer;
 use super::signals::on_signal;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::{Write, copy, sink, stderr, stdin};
+use std::io::{Read, Write, stderr, stdin};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::channel;
 use std::time::Duration;
 use twum_host::identify::circuit::{Circuit, Mode};
 use twum_host::instruments::generator::{Generator, Phases};
 use twum_host::instruments::oscilloscope::{Family, Oscilloscope};
 use twum_host::instruments::scpi::Scpi;
 use twum_host::instruments::{simulate, sweep};
+
+/// Whoever shows life on standard input is frozen after this: `twum serve` does so ten times as often.
+const SILENCE: Duration = Duration::from_secs(1);
 
 /// Arguments of `twum instruments`.
 #[derive(Debug, clap::Args)]
@@ -74,7 +78,8 @@ struct Sweep {
     /// Leave the generator's second channel off
     #[arg(long)]
     single_phase: bool,
-    /// End, outputs off, when standard input ends: for whoever starts this from a program or over ssh
+    /// End, outputs off, when standard input ends, or is silent for 1 s after it has said anything: for whoever starts this
+    /// from a program or over ssh
     #[arg(long)]
     attended: bool,
     /// Say on stderr how far it is, a line each: `progress SHARE WHAT`
@@ -180,11 +185,22 @@ fn run_sweep(args: Sweep, stop: &Arc<AtomicBool>) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Whoever holds the other end of standard input is gone when it ends, or asks for the end so.
+/// Whoever holds the other end of standard input is gone when it ends, or asks for the end so. Who says something there is
+/// frozen when it falls silent.
 fn stop_when_input_ends(stop: Arc<AtomicBool>) {
+    let (said, hears) = channel();
     std::thread::spawn(move || {
         // An input that cannot be read has ended.
-        let _ = copy(&mut stdin().lock(), &mut sink());
+        for _ in stdin().lock().bytes().map_while(Result::ok) {
+            if said.send(()).is_err() {
+                return;
+            }
+        }
+    });
+    std::thread::spawn(move || {
+        if hears.recv().is_ok() {
+            while hears.recv_timeout(SILENCE).is_ok() {}
+        }
         stop.store(true, Ordering::Relaxed);
     });
 }

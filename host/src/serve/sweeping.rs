@@ -1,5 +1,6 @@
 //! A stator's sweep that a page starts. The command line makes it, in a program of its own, which ends with the generator's
-//! outputs off when this server lets go of its standard input: to stop it, and also when the server itself is killed.
+//! outputs off when this server lets go of its standard input: to stop it, and also when the server itself is killed; and when
+//! nothing is said there any more, as by a server that is frozen.
 
 use super::answer::{Answer, Refused, conflict};
 use super::board::{Doing, Ended};
@@ -13,6 +14,7 @@ use axum::routing::{get, post};
 use axum::{Json, Router};
 use serde::Deserialize;
 use serde_json::json;
+use std::io::Write;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
@@ -20,6 +22,8 @@ use std::time::{Duration, Instant};
 
 /// A stop, and the sweep's own end, are seen within this time.
 const LOOKED_AT: Duration = Duration::from_millis(20);
+/// The sweep is shown life this often: it ends when it sees none for a second.
+const SIGN_OF_LIFE: Duration = Duration::from_millis(100);
 /// A sweep that is told to end does so after the frequency under way: an instrument is waited for 5 s, an output's two
 /// answers for 3 s each. One that takes longer is killed, and the generator is told from here.
 const PATIENCE: Duration = Duration::from_secs(12);
@@ -195,8 +199,14 @@ fn follow(app: &Arc<App>, mut child: Child, name: &str, generator: &str, aside: 
             err.map_or_else(String::new, |err| studies::follow(err, said))
         })
     };
-    let mut told = None::<Instant>;
+    // The first sign of life is shown at once: before it none is missed.
+    let (mut told, mut shown) = (None::<Instant>, None::<Instant>);
     let status = loop {
+        if let Some(input) = input.as_mut().filter(|_| shown.is_none_or(|shown| shown.elapsed() >= SIGN_OF_LIFE)) {
+            shown = Some(Instant::now());
+            // One that has ended hears nothing.
+            let _ = input.write_all(b"\n");
+        }
         if aside.is_stopped() && told.is_none() {
             told = Some(Instant::now());
             drop(input.take());

@@ -171,10 +171,10 @@ fn however_a_sweep_of_a_page_ends_the_generator_is_off() {
     }
 }
 
-/// Fails when a sweep outlives its server.
+/// Fails when a sweep outlives its server, or goes on beside one that is frozen.
 #[test]
-fn a_server_that_ends_or_is_killed_leaves_the_generator_off() {
-    for name in ["INT", "TERM", "HUP", "QUIT", "KILL"] {
+fn a_server_that_ends_is_killed_or_frozen_leaves_the_generator_off() {
+    for name in ["INT", "TERM", "HUP", "QUIT", "KILL", "STOP"] {
         let mut served = Served::sim();
         let bench = Bench::of(&served);
         let page = Page::open(&served);
@@ -183,7 +183,7 @@ fn a_server_that_ends_or_is_killed_leaves_the_generator_off() {
         drop(page);
         signal_to(&served.process, name);
         let since = Instant::now();
-        if name != "KILL" {
+        if !["KILL", "STOP"].contains(&name) {
             assert!(served.process.wait().unwrap().success(), "{name}");
             assert_eq!(bench.outputs(), [false; 2], "{name}: it ended before the generator was off");
         }

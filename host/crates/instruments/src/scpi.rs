@@ -3,7 +3,6 @@
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
-use std::os::unix::fs::FileTypeExt;
 use std::time::{Duration, Instant};
 use twum_files::input::printable;
 
@@ -133,7 +132,7 @@ impl Scpi {
         let failed = |cause| InstrumentError::Open { address: address.to_owned(), cause };
         let line = if address.starts_with('/') {
             let file = OpenOptions::new().read(true).write(true).open(address).map_err(failed)?;
-            if !file.metadata().map_err(failed)?.file_type().is_char_device() {
+            if file.metadata().map_err(failed)?.is_file() {
                 return Err(failed(std::io::Error::new(ErrorKind::InvalidInput, "this is no device but a file")));
             }
             Line::Usbtmc(file)
