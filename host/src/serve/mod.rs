@@ -47,6 +47,8 @@ use thiserror::Error;
 const LEASE_LOOKED_AT: Duration = Duration::from_millis(20);
 /// A page that falls behind while nothing is going on, as while it draws a long recording, keeps the motor for so long more.
 const AT_REST: Duration = Duration::from_secs(10);
+/// The same while a stator is swept: the page draws thousands of points meanwhile, and a generator's few volts turn no motor.
+const AT_A_SWEEP: Duration = Duration::from_secs(5);
 /// Threads that answer pages.
 const THREADS: usize = 2;
 
@@ -231,7 +233,12 @@ async fn over(is_over: &AtomicBool) {
 fn watch_lease(app: &App, is_over: &AtomicBool) {
     while !is_over.load(Ordering::Relaxed) {
         let is_at_work = app.board.is_at_work();
-        if app.holder.expire(if is_at_work { Duration::ZERO } else { AT_REST }) {
+        let patience = match is_at_work {
+            true if app.owner.has_aside() => AT_A_SWEEP,
+            true => Duration::ZERO,
+            false => AT_REST,
+        };
+        if app.holder.expire(patience) {
             if is_at_work {
                 // Nobody waits for the answer; the state says how it went.
                 drop(app.owner.stop());
