@@ -176,7 +176,7 @@ const plots = (() => {
         x: { time: false, distr: panel.x_log ? 3 : 1, range: () => range("x") },
         y: { distr: panel.y_log ? 3 : 1, range: () => range("y") },
       },
-      axes: [{ ...axis(panel.x_label, panel.x_log), size: 32 }, { ...axis(panel.y_label, panel.y_log), size: (_, values) => 14 + 7.5 * Math.max(4, ...(values ?? []).map(v => v?.length ?? 0)) }],
+      axes: [{ ...axis(panel.x_label, panel.x_log), size: 32, space: 64 }, { ...axis(panel.y_label, panel.y_log), size: (_, values) => 14 + 7.5 * Math.max(4, ...(values ?? []).map(v => v?.length ?? 0)) }],
       series: [null, ...panel.series.map(series => {
         const colour = () => shade(series.colour) + (series.shape === "band" ? "40" : "");
         const filled = series.shape === "band" || series.shape === "points";

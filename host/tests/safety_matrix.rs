@@ -54,6 +54,15 @@ const MOVERS: [Mover; 5] = [
     Mover { name: "driver", arguments: &["driver", "u2000"], out: Some("a.mcap"), motion: 1, lasts_ms: 2_000 },
 ];
 
+/// A drive that is gated: its PWM is the tick's own, and most of its ticks are off.
+const GATED: Mover = Mover {
+    name: "track, gated",
+    arguments: &["track", "--control", "gated", "--seconds", "2"],
+    out: Some("a.mcap"),
+    motion: 2,
+    lasts_ms: 2_000,
+};
+
 /// What happens in the middle of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Event {
@@ -367,9 +376,9 @@ fn moments(count: usize) -> Vec<f64> {
     (0..count).map(|moment| 0.02 + 0.43 * moment as f64 / count.max(2).saturating_sub(1) as f64).collect()
 }
 
-fn matrix(events: &[Event], shares: &[f64]) -> String {
+fn matrix(movers: &[Mover], events: &[Event], shares: &[f64]) -> String {
     let cases: Vec<(Mover, Event)> =
-        MOVERS.into_iter().flat_map(|mover| events.iter().map(move |&event| (mover, event))).collect();
+        movers.iter().flat_map(|&mover| events.iter().map(move |&event| (mover, event))).collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(4).build().unwrap();
     let came: Vec<Vec<Came>> = pool.install(|| {
         cases
@@ -415,7 +424,8 @@ fn matrix(events: &[Event], shares: &[f64]) -> String {
 
 #[test]
 fn whatever_ends_a_command_the_motor_is_off_and_nothing_starts_again() {
-    matrix(&EVENTS, &[0.3]);
+    matrix(&MOVERS, &EVENTS, &[0.3]);
+    matrix(&[GATED], &EVENTS, &[0.3]);
 }
 
 /// `cargo test --release -p twum-host --test safety_matrix -- --ignored --nocapture ten_moments`; the simulated boards have to keep
@@ -423,7 +433,14 @@ fn whatever_ends_a_command_the_motor_is_off_and_nothing_starts_again() {
 #[test]
 #[ignore = "half an hour; docs/reliability.md gives the command"]
 fn whatever_ends_a_command_the_motor_is_off_at_ten_moments() {
-    document::record("safety-matrix", &matrix(&EVENTS, &moments(10)));
+    document::record("safety-matrix", &matrix(&MOVERS, &EVENTS, &moments(10)));
+}
+
+/// `... -- --ignored --nocapture gated`
+#[test]
+#[ignore = "minutes; docs/reliability.md gives the command"]
+fn whatever_ends_a_gated_run_the_motor_is_off() {
+    document::record("safety-gated", &matrix(&[GATED], &EVENTS, &moments(10)));
 }
 
 /// `... -- --ignored --nocapture thirty_moments`
@@ -431,7 +448,7 @@ fn whatever_ends_a_command_the_motor_is_off_at_ten_moments() {
 #[ignore = "half an hour; docs/reliability.md gives the command"]
 fn whatever_signal_ends_a_command_the_motor_is_off_at_thirty_moments() {
     let signals = ["INT", "TERM", "HUP", "KILL"].map(Event::Signal);
-    document::record("safety-signals", &matrix(&signals, &moments(30)));
+    document::record("safety-signals", &matrix(&MOVERS, &signals, &moments(30)));
 }
 
 /// A stop from another terminal has its motor off within this time of the command, ms.

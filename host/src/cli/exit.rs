@@ -3,6 +3,7 @@
 use anyhow::{Error, Result};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU8, Ordering};
+use twum_host::instruments::sweep::SweepError;
 use twum_host::link::LinkError;
 use twum_shared::message::Refusal;
 
@@ -21,6 +22,10 @@ pub const INTERRUPTED: u8 = 130;
 
 /// The code of an error.
 pub fn code_of(error: &Error) -> u8 {
+    let sweep = error.chain().find_map(|cause| cause.downcast_ref::<SweepError>());
+    if matches!(sweep, Some(SweepError::Stopped { .. })) {
+        return INTERRUPTED;
+    }
     let link = error.chain().find_map(|cause| cause.downcast_ref::<LinkError>());
     match link {
         Some(LinkError::Fault(_) | LinkError::Latched(_) | LinkError::Refused { reason: Refusal::Fault(_), .. }) => {

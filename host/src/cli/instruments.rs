@@ -4,16 +4,21 @@ use super::output::answer;
 use super::signals::on_signal;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::io::{Read, Write, stderr, stdin};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::channel;
 use std::time::Duration;
 use twum_host::identify::circuit::{Circuit, Mode};
 use twum_host::instruments::generator::{Generator, Phases};
 use twum_host::instruments::oscilloscope::{Family, Oscilloscope};
 use twum_host::instruments::scpi::Scpi;
 use twum_host::instruments::{simulate, sweep};
+
+/// Whoever shows life on standard input is frozen after this: `twum serve` does so ten times as often.
+const SILENCE: Duration = Duration::from_secs(1);
 
 /// Arguments of `twum instruments`.
 #[derive(Debug, clap::Args)]
@@ -73,6 +78,13 @@ struct Sweep {
     /// Leave the generator's second channel off
     #[arg(long)]
     single_phase: bool,
+    /// End, outputs off, when standard input ends, or is silent for 1 s after it has said anything: for whoever starts this
+    /// from a program or over ssh
+    #[arg(long)]
+    attended: bool,
+    /// Say on stderr how far it is, a line each: `progress SHARE WHAT`
+    #[arg(long)]
+    progress: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -93,19 +105,19 @@ struct Simulate {
     #[arg(long, value_enum, default_value_t = Family::Ds1104z)]
     model: Family,
     /// Motional inductance (H); the defaults are the thesis's stator
-    #[arg(long, default_value_t = 2.1094)]
+    #[arg(long, default_value_t = simulate::INDUCTANCE_H)]
     inductance: f64,
     /// Motional capacitance (F)
-    #[arg(long, default_value_t = 6.1653e-12)]
+    #[arg(long, default_value_t = simulate::CAPACITANCE_F)]
     capacitance: f64,
     /// Motional resistance (ohm)
-    #[arg(long, default_value_t = 18_488.0)]
+    #[arg(long, default_value_t = simulate::RESISTANCE_OHM)]
     resistance: f64,
     /// Clamped capacitance (F)
-    #[arg(long, default_value_t = 150e-12)]
+    #[arg(long, default_value_t = simulate::CLAMPED_F)]
     clamped: f64,
     /// Dielectric loss (ohm)
-    #[arg(long, default_value_t = 2e6)]
+    #[arg(long, default_value_t = simulate::LOSS_OHM)]
     loss: f64,
     /// Shunt (ohm)
     #[arg(long, default_value_t = 2000.0)]
@@ -140,7 +152,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
     }
 }
 
-fn run_sweep(args: Sweep, stop: &AtomicBool) -> Result<ExitCode> {
+fn run_sweep(args: Sweep, stop: &Arc<AtomicBool>) -> Result<ExitCode> {
     let plan = sweep::Plan {
         from_hz: args.from,
         to_hz: args.to,
@@ -149,6 +161,9 @@ fn run_sweep(args: Sweep, stop: &AtomicBool) -> Result<ExitCode> {
         settle: Duration::from_millis(args.settle_ms),
     };
     plan.frequencies()?;
+    if args.attended {
+        stop_when_input_ends(Arc::clone(stop));
+    }
     let phases = if args.single_phase { Phases::One } else { Phases::Two };
     let generator = Generator::new(Scpi::open(&args.generator)?, phases)?;
     let mut scope = Oscilloscope::new(Scpi::open(&args.scope)?)?;
@@ -157,6 +172,10 @@ fn run_sweep(args: Sweep, stop: &AtomicBool) -> Result<ExitCode> {
     let taken = sweep::run(&plan, &args.file, generator, &mut scope, stop, |done, total| {
         bar.set_length(total as u64);
         bar.set_position(done as u64);
+        if args.progress {
+            // Nobody may be there to read it any more; the outputs go off all the same.
+            let _ = writeln!(stderr(), "progress {:.3} {done} of {total} frequencies", done as f64 / total as f64);
+        }
     })?;
     bar.finish_and_clear();
     eprintln!("{}: {taken} frequencies taken, outputs off", args.file.display());
@@ -164,6 +183,26 @@ fn run_sweep(args: Sweep, stop: &AtomicBool) -> Result<ExitCode> {
         println!("{}", serde_json::json!({ "file": args.file, "taken": taken }));
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Whoever holds the other end of standard input is gone when it ends, or asks for the end so. Who says something there is
+/// frozen when it falls silent.
+fn stop_when_input_ends(stop: Arc<AtomicBool>) {
+    let (said, hears) = channel();
+    std::thread::spawn(move || {
+        // An input that cannot be read has ended.
+        for _ in stdin().lock().bytes().map_while(Result::ok) {
+            if said.send(()).is_err() {
+                return;
+            }
+        }
+    });
+    std::thread::spawn(move || {
+        if hears.recv().is_ok() {
+            while hears.recv_timeout(SILENCE).is_ok() {}
+        }
+        stop.store(true, Ordering::Relaxed);
+    });
 }
 
 fn run_simulate(args: Simulate, stop: &AtomicBool) -> Result<ExitCode> {

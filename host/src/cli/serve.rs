@@ -15,6 +15,7 @@ use twum_host::link::relay::Lender;
 use twum_host::link::{LinkError, Port, is_motor_held, serve};
 use twum_host::serve::Server;
 use twum_host::serve::owner::Bench;
+use twum_host::serve::sweeping::Instruments;
 use twum_shared::message::Configuration;
 
 /// The motor is stopped within this time of the first Ctrl-C, or cannot be.
@@ -40,6 +41,12 @@ pub struct Args {
     /// Folder of the runs: read, and recorded into; made if need be
     #[arg(long, default_value = "runs")]
     folder: PathBuf,
+    /// Generator that sweeps a stator from the page: /dev/usbtmcN, host or host:port; the page may name another
+    #[arg(long, env = "TWUM_GENERATOR")]
+    generator: Option<String>,
+    /// Oscilloscope of such sweeps
+    #[arg(long, env = "TWUM_SCOPE")]
+    scope: Option<String>,
     /// Print the address as JSON
     #[arg(long)]
     json: bool,
@@ -66,14 +73,16 @@ impl Bench for OwnBench {
 /// Runs `twum serve`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let asked = args.connect.port()?;
-    let port = if asked == "sim" {
+    let is_simulated = asked == "sim";
+    let port = if is_simulated {
         simulated(args.connect.motor_args())?
     } else {
         args.connect.motor_args().is_of_a_real_board()?;
         asked
     };
     let bench = OwnBench { connect: args.connect, port: port.clone() };
-    let server = Server::new(&args.listen, &args.folder, &port, Box::new(bench))?;
+    let instruments = Instruments { generator: args.generator, scope: args.scope, is_simulated };
+    let server = Server::new(&args.listen, &args.folder, &port, Box::new(bench), instruments)?;
     let ending = server.ending();
     let mut first = None;
     on_signal(move || {

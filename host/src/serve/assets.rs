@@ -23,7 +23,7 @@ macro_rules! own {
 }
 
 /// Every file; the look and the plots are those of the reports.
-pub const ASSETS: [Asset; 15] = [
+pub const ASSETS: [Asset; 16] = [
     own!("/", HTML, "index.html"),
     own!("/serve.css", CSS, "serve.css"),
     own!("/main.js", SCRIPT, "main.js"),
@@ -35,6 +35,7 @@ pub const ASSETS: [Asset; 15] = [
     own!("/model.js", SCRIPT, "model.js"),
     own!("/runs.js", SCRIPT, "runs.js"),
     own!("/studies.js", SCRIPT, "studies.js"),
+    own!("/sweep.js", SCRIPT, "sweep.js"),
     Asset { path: "/look.css", kind: CSS, text: SHARED.look },
     Asset { path: "/plots.js", kind: SCRIPT, text: SHARED.plots },
     Asset { path: "/uplot.css", kind: CSS, text: SHARED.plot_style },

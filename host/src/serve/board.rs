@@ -262,6 +262,14 @@ impl Board {
         self.tell();
     }
 
+    /// How far that is, in words.
+    pub fn goes_on(&self, what: String) {
+        if let Some((doing, _)) = &mut self.lock().doing {
+            doing.what = what;
+        }
+        self.tell();
+    }
+
     /// How it ended.
     pub fn ended(&self, ended: Ended) {
         let mut inner = self.lock();

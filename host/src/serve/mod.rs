@@ -3,7 +3,8 @@
 //! [`owner`] is the thread that owns the port. [`tap`] shows [`board`] what comes over it. [`stream`] brings that to every page
 //! at the page's own pace, and [`holder`] knows which of them may move the motor, and stops it when that page falls silent.
 //! [`door`] says who comes in, [`routes`] what can be asked. Computing that takes long is done by the command line itself, in
-//! a program of its own (`studies`): it can neither hold up the port nor bring the server down.
+//! a program of its own (`studies`), as are sweeps of a stator ([`sweeping`]): they can neither hold up the port nor bring the
+//! server down.
 
 pub mod answer;
 pub mod assets;
@@ -21,6 +22,7 @@ pub mod settings;
 pub mod stream;
 mod studies;
 mod sweep;
+pub mod sweeping;
 pub mod tap;
 
 use board::Board;
@@ -38,12 +40,15 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use studies::Studies;
 use sweep::Sweeps;
+use sweeping::{Instruments, Sweeping};
 use thiserror::Error;
 
 /// A lease that has run out is seen within this time.
 const LEASE_LOOKED_AT: Duration = Duration::from_millis(20);
 /// A page that falls behind while nothing is going on, as while it draws a long recording, keeps the motor for so long more.
 const AT_REST: Duration = Duration::from_secs(10);
+/// The same while a stator is swept: the page draws thousands of points meanwhile, and a generator's few volts turn no motor.
+const AT_A_SWEEP: Duration = Duration::from_secs(5);
 /// Threads that answer pages.
 const THREADS: usize = 2;
 
@@ -56,6 +61,7 @@ pub struct App {
     folder: Folder,
     studies: Studies,
     sweeps: Sweeps,
+    sweeping: Sweeping,
     /// Streams that are open.
     pages: AtomicUsize,
     /// Their names.
@@ -129,11 +135,18 @@ impl Ending {
 }
 
 impl Server {
-    /// Listens at `listen` (`ADDRESS:PORT`), opens `folder`, and begins to reach the board on `port` by `bench`.
+    /// Listens at `listen` (`ADDRESS:PORT`), opens `folder`, and begins to reach the board on `port` by `bench`;
+    /// a stator is swept with `instruments`.
     ///
     /// # Errors
     /// When the address or the folder cannot be had. A board that cannot be reached is waited for.
-    pub fn new(listen: &str, folder: &Path, port: &str, bench: Box<dyn Bench>) -> Result<Self, ServeError> {
+    pub fn new(
+        listen: &str,
+        folder: &Path,
+        port: &str,
+        bench: Box<dyn Bench>,
+        instruments: Instruments,
+    ) -> Result<Self, ServeError> {
         let failed = |reason| ServeError::Listen { asked: listen.to_owned(), reason };
         let addresses: Vec<SocketAddr> = listen.to_socket_addrs().map_err(failed)?.collect();
         let listener = TcpListener::bind(&*addresses).map_err(failed)?;
@@ -154,6 +167,7 @@ impl Server {
             folder,
             studies: Studies::default(),
             sweeps: Sweeps::default(),
+            sweeping: Sweeping::new(instruments),
             pages: AtomicUsize::new(0),
             names: Mutex::default(),
         });
@@ -176,7 +190,7 @@ impl Server {
         Ending { owner: Arc::clone(&self.app.owner), is_over: Arc::clone(&self.is_over) }
     }
 
-    /// Serves until it is ended; the motor is off then, or the board could not be told.
+    /// Serves until it is ended; motor and generator are off then, or could not be told.
     ///
     /// # Errors
     /// When the system gives no threads or sockets.
@@ -200,6 +214,7 @@ impl Server {
         app.owner.quit();
         is_over.store(true, Ordering::Relaxed);
         app.studies.end();
+        sweeping::wait(&app);
         // Threads that fail have said so.
         let _ = thread.join();
         let _ = lease.join();
@@ -218,7 +233,12 @@ async fn over(is_over: &AtomicBool) {
 fn watch_lease(app: &App, is_over: &AtomicBool) {
     while !is_over.load(Ordering::Relaxed) {
         let is_at_work = app.board.is_at_work();
-        if app.holder.expire(if is_at_work { Duration::ZERO } else { AT_REST }) {
+        let patience = match is_at_work {
+            true if app.owner.has_aside() => AT_A_SWEEP,
+            true => Duration::ZERO,
+            false => AT_REST,
+        };
+        if app.holder.expire(patience) {
             if is_at_work {
                 // Nobody waits for the answer; the state says how it went.
                 drop(app.owner.stop());

@@ -83,6 +83,8 @@ type Answer = Result<Value, String>;
 struct Desk {
     command: Option<(Command, oneshot::Sender<Answer>)>,
     is_busy: bool,
+    /// Something beside the port goes on alone; whether it has been told to stop.
+    aside: Option<bool>,
     stops: Vec<oneshot::Sender<Answer>>,
 }
 
@@ -117,12 +119,33 @@ impl Owner {
     /// When something else is going on.
     pub fn ask(&self, command: Command) -> Result<oneshot::Receiver<Answer>, String> {
         let mut desk = self.desk();
-        if desk.is_busy || desk.command.is_some() || self.stop.load(Ordering::Relaxed) {
-            return Err("something is going on: wait for its end, or stop it".to_owned());
-        }
+        self.is_free(&desk)?;
         let (sender, answer) = oneshot::channel();
         desk.command = Some((command, sender));
         Ok(answer)
+    }
+
+    /// Lets something beside the port go on alone: nothing is taken until it is dropped, and what stops the motor stops it.
+    ///
+    /// # Errors
+    /// When something else is going on.
+    pub fn set_aside(self: &Arc<Self>) -> Result<Aside, String> {
+        let mut desk = self.desk();
+        self.is_free(&desk)?;
+        desk.aside = Some(false);
+        Ok(Aside(Arc::clone(self)))
+    }
+
+    /// Whether something beside the port goes on.
+    pub fn has_aside(&self) -> bool {
+        self.desk().aside.is_some()
+    }
+
+    fn is_free(&self, desk: &Desk) -> Result<(), String> {
+        if desk.is_busy || desk.command.is_some() || desk.aside.is_some() || self.is_stopping() {
+            return Err("something is going on: wait for its end, or stop it".to_owned());
+        }
+        Ok(())
     }
 
     /// Stops the motor; a latched fault stays. Answers when it has been seen to stand.
@@ -133,6 +156,7 @@ impl Owner {
             // Whoever asked may be gone.
             let _ = asked.send(Err("a stop came before it".to_owned()));
         }
+        desk.aside = desk.aside.map(|_| true);
         desk.stops.push(sender);
         self.stop.store(true, Ordering::Relaxed);
         answer
@@ -140,6 +164,8 @@ impl Owner {
 
     /// Stops the motor and ends the thread.
     pub fn quit(&self) {
+        let mut desk = self.desk();
+        desk.aside = desk.aside.map(|_| true);
         self.quit.store(true, Ordering::Relaxed);
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -178,6 +204,22 @@ impl Owner {
 
     fn is_free_again(&self) {
         self.desk().is_busy = false;
+    }
+}
+
+/// Something beside the port that goes on alone, until it is dropped.
+pub struct Aside(Arc<Owner>);
+
+impl Aside {
+    /// Whether it has to stop.
+    pub fn is_stopped(&self) -> bool {
+        self.0.desk().aside == Some(true)
+    }
+}
+
+impl Drop for Aside {
+    fn drop(&mut self) {
+        self.0.desk().aside = None;
     }
 }
 

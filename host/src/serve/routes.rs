@@ -1,13 +1,13 @@
 //! What can be asked of the server over HTTP. Whatever changes anything is a POST of JSON; whatever may move the motor, or
 //! change how it moves, is asked for by the page that holds it. A stop is anybody's.
 
-use super::answer::{Answer, answered, command, conflict, in_force};
+use super::answer::{Answer, Refused, answered, command, conflict, in_force};
 use super::assets::ASSETS;
 use super::door::{self, refusal};
 use super::owner::Command;
 use super::request::Run;
 use super::settings::settings;
-use super::{App, model, runs, stream, studies, sweep};
+use super::{App, model, runs, stream, studies, sweep, sweeping};
 use crate::configuration::{difference, overlay, to_toml};
 use axum::extract::{DefaultBodyLimit, State};
 use axum::http::StatusCode;
@@ -42,7 +42,8 @@ pub fn router(app: Arc<App>) -> Router {
         .merge(model::routes())
         .merge(runs::routes())
         .merge(studies::routes())
-        .merge(sweep::routes());
+        .merge(sweep::routes())
+        .merge(sweeping::routes());
     for asset in &ASSETS {
         router = router.route(asset.path, get(move || async move { asset }));
     }
@@ -73,7 +74,23 @@ async fn state(State(app): State<Arc<App>>) -> Response {
 }
 
 async fn stop(State(app): State<Arc<App>>, Json(Nothing {}): Json<Nothing>) -> Answer {
-    answered(app.owner.stop(), STOPPING).await
+    stop_all(&app).await
+}
+
+/// Stops the motor, and a sweep.
+async fn stop_all(app: &App) -> Answer {
+    let is_sweeping = app.owner.has_aside();
+    let motor = answered(app.owner.stop(), STOPPING).await;
+    if !is_sweeping {
+        return motor;
+    }
+    match (motor, sweeping::ended(app).await) {
+        (Ok(_), Ok(swept)) => Ok(Json(json!({ "stopped": true, "sweep": swept }))),
+        (Ok(_), Err(generator)) => Err(generator),
+        (Err(Refused(status, why)), Ok(swept) | Err(Refused(_, swept))) => {
+            Err(Refused(status, format!("{swept}. {why}")))
+        }
+    }
 }
 
 /// An empty object.
@@ -97,7 +114,7 @@ async fn release(State(app): State<Arc<App>>, Json(Page { page }): Json<Page>) -
     }
     app.board.say("the page has given the motor back");
     if app.board.is_at_work() {
-        return answered(app.owner.stop(), STOPPING).await;
+        return stop_all(&app).await;
     }
     Ok(Json(json!({ "held": false })))
 }

@@ -243,23 +243,24 @@ fn begin(app: &Arc<App>, question: &Question) -> Result<u64, String> {
     });
     let app = Arc::clone(app);
     std::thread::spawn(move || {
-        let said = err.map_or_else(String::new, |err| follow(&app, number, err));
+        let goes_on = |share, what: &str| {
+            if let Some(study) = app.studies.desk().studies.iter_mut().find(|it| it.study == number) {
+                (study.share, study.doing) = (Some(share), what.to_owned());
+            }
+        };
+        let said = err.map_or_else(String::new, |err| follow(err, goes_on));
         conclude(&app, number, said, printed.join().unwrap_or_default());
     });
     Ok(number)
 }
 
-/// Takes what it says of its progress; gives what else it said.
-fn follow(app: &App, number: u64, err: impl Read) -> String {
+/// Takes what a command says of its progress, share and words; gives what else it said.
+pub fn follow(err: impl Read, mut goes_on: impl FnMut(f64, &str)) -> String {
     let mut said = String::new();
     for line in BufReader::new(err.take(PRINTED)).lines().map_while(Result::ok) {
         let progress = line.strip_prefix("progress ").and_then(|rest| rest.split_once(' '));
         match progress.and_then(|(share, what)| Some((share.parse::<f64>().ok()?, what))) {
-            Some((share, what)) => {
-                if let Some(study) = app.studies.desk().studies.iter_mut().find(|it| it.study == number) {
-                    (study.share, study.doing) = (Some(share), what.to_owned());
-                }
-            }
+            Some((share, what)) => goes_on(share, what),
             None => said += &format!("{line}\n"),
         }
     }

@@ -1,6 +1,6 @@
 // The Bench page: the board's state, runs, live plots.
 import { act, button, choice, element, field, number, say } from "./parts.js";
-import { command, here, holds, listen } from "./talk.js";
+import { command, get, here, holds, listen } from "./talk.js";
 import { live } from "./live.js";
 
 const FIELDS = {
@@ -102,7 +102,10 @@ function drawnPath() {
   new ResizeObserver(draw).observe(canvas);
   return {
     node: element("div", {}, canvas, element("p", { className: "soft", textContent: "Click to add a way point, drag to move one, double-click to take one away; or write angle (°) and seconds, a line each. At most 16." }), list),
-    points: () => points,
+    points: () => {
+      if (list.classList.contains("wrong")) throw new Error("way points: write an angle in degrees and seconds, a line each");
+      return points;
+    },
   };
 }
 
@@ -142,20 +145,31 @@ function runForm() {
 }
 
 function facts() {
-  const list = element("dl", { className: "facts" }), fault = element("p", { className: "callout", hidden: true });
-  let shown = "";
+  const list = element("dl", { className: "facts" }), fault = element("p", { id: "fault", className: "callout", hidden: true });
+  let shown = "", version = null, force = "";
+  // What a run begun now would use; every key is on the Settings page.
+  async function configuration() {
+    const { configured, rows } = await get("/api/configuration"), of = key => rows.find(row => row.key === key);
+    const gains = ["kp", "ki_tick", "kd_tick", "feed_forward"].map(name => `${name} ${of(`control.${name}`).value}`).join(", ");
+    force = `${gains}; ${of("control.law").value}, ${of("control.period_us").value} µs, PWM ${of("pwm_hz").value} Hz${configured ? "" : "; the default, the board has been given none"}`;
+  }
   listen(() => {
     const now = here.now;
     if (!here.open || !now) return;
+    if (now.connected && now.configuration_version !== version) {
+      version = now.configuration_version;
+      configuration().catch(error => say(error.message));
+    }
     const rows = [
       ["port", now.port], ["board", `${now.chip ?? "unknown"}, firmware ${now.firmware ?? "unknown"}, last start: ${now.reset ?? "unknown"}`],
-      ["position", `${now.position_deg.toFixed(1)}°`],
+      ["in force", force],
+      ["position", `${now.position_deg.toFixed(1).replace("-", "−")}°`],
       ["ticks", `${now.late_ticks} late, latest by ${now.worst_late_us} µs, longest ${now.worst_duration_us} µs; ${now.lost_items} items lost on the board`],
     ];
     const text = JSON.stringify([rows, now.fault]);
     if (text === shown) return;
     shown = text;
-    list.replaceChildren(...rows.flatMap(([name, value]) => [element("dt", { textContent: name }), element("dd", { textContent: value })]));
+    list.replaceChildren(...rows.flatMap(([name, value]) => [element("dt", { textContent: name }), element("dd", { textContent: value, id: name === "in force" ? "force" : "" })]));
     fault.hidden = !now.fault;
     fault.textContent = now.fault ? `${now.fault.name}: ${now.fault.words}. ${now.fault.what_to_do}` : "";
   });

@@ -12,8 +12,8 @@ const byId = id => document.getElementById(id);
 
 async function stop() {
   try {
-    await post("/api/stop");
-    say("stopped: the board says that the drive is off", false);
+    const { sweep } = await post("/api/stop");
+    say(sweep ?? "stopped: the board says that the drive is off", Boolean(sweep));
   } catch (error) {
     say(`STOP: ${error.message}`);
   }
@@ -24,6 +24,8 @@ byId("stop").onclick = event => { if (event.detail === 0) stop(); };
 
 // The keys stop from everywhere. Where a person writes, a space is a space; Escape stops there too.
 window.addEventListener("keydown", event => {
+  // Space is taken: Enter ticks a box.
+  if (event.key === "Enter" && event.target.matches?.("input[type=checkbox]")) event.target.click();
   const writes = event.target.matches?.("textarea, input:not([type=checkbox]):not([type=radio]):not([type=range]):not([type=number])");
   if (event.key === "Escape" || (event.key === " " && !writes)) {
     event.preventDefault();
@@ -46,6 +48,8 @@ function showState() {
   const silent = (performance.now() - here.heard) / 1000;
   if (!here.open) [words, kind] = ["no connection to the server", "unknown"];
   else if (silent > 1) [words, kind] = [`nothing heard of the server since ${silent.toFixed(0)} s`, "unknown"];
+  // With a board or without one, the generator drives the stator.
+  else if (now.doing?.what.startsWith("sweep") && !now.fault) [words, kind] = ["sweeping", "on"];
   else if (!now.connected) [words, kind] = [now.trouble ?? "the board does not answer", "unknown"];
   else if (now.heard_ms_ago == null || now.heard_ms_ago > 1000) [words, kind] = [`the board says nothing${now.heard_ms_ago == null ? "" : ` since ${(now.heard_ms_ago / 1000).toFixed(0)} s`}`, "unknown"];
   else if (now.fault) [words, kind] = [`FAULT ${now.fault.name}`, "fault"];

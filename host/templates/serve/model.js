@@ -4,7 +4,7 @@ import { get, post } from "./talk.js";
 
 let known = null, host, place, words, motor, flavour, control, run, chosenMotor = "", chosen = {}, effects = {}, drawn = [], last = null, turn = 0, waiting = 0;
 
-const short = value => String(+Number(value).toPrecision(4)).replace("-", "−");
+const short = value => (Math.abs(value) >= 1e6 ? Number(value).toExponential(3).replace("e+", "e").replace(/\.?0+e/, "e") : String(+Number(value).toPrecision(4))).replaceAll("-", "−");
 
 // What a slider may move: from a half to one and a half of what the motor has, inside the model's bounds.
 function slider(name, unit, value, low, high, changed) {

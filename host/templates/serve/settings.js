@@ -96,7 +96,8 @@ export const settings = {
       element("h2", { textContent: "Configuration" }),
       element("p", { className: "soft", textContent: "What the board runs with: it is changed between runs, by the page that holds the motor. What is left as the board has it stays. Every recording holds the configuration it was made with." }),
       element("div", { className: "row" }, send, button("As the board has it", act(async () => { wanted = {}; await load(); })),
-        button("Controller of the thesis", act(() => read("control = \"thesis\""))), button("Default controller", act(() => read("control = \"default\""))),
+        button("Controller of the thesis", act(() => read("control = \"thesis\""))), button("Default controller", act(() => read("control = \"default\""))), button("Gated controller", act(() => read("control = \"gated\""))),
+        button("Planned controller", act(() => read("control = \"planned\""))),
         save, field("load a TOML file", file)),
       summary, host);
     listen(() => {

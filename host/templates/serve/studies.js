@@ -1,6 +1,7 @@
 // The Experiment and Diagnosis pages: plans that the board carries out, and what the command line computes of runs.
 import { act, button, choice, element, field, number, say, table } from "./parts.js";
 import { command, get, here, holds, listen, post } from "./talk.js";
+import { sweeping } from "./sweep.js";
 
 let planned = [], planPlace, name, begin, resume;
 
@@ -66,41 +67,12 @@ export const experiment = {
 
 const command2 = (path, what) => post(path, { page: here.page, ...what });
 
-let chosen, studies, frame, watching = 0, shownStudy = null, sweep, sweepWords, sweepPlots, sweepTurn = 0, sweepDrawn = [];
-
-// A sweep while it is made, in a terminal or elsewhere: its points so far, looked at every second while this page is shown.
-async function watchSweep(run, shunt_ohm) {
-  const mine = ++sweepTurn;
-  let taken = -1;
-  sweep.hidden = false;
-  while (mine === sweepTurn) {
-    if (!sweep.closest("section").hidden) {
-      const found = await get("/api/sweep", { run, shunt_ohm });
-      if (mine !== sweepTurn) return;
-      const of = found.planned == null ? "" : ` of ${found.planned}`, bad = found.unreadable ? `; ${found.unreadable} show no sine` : "";
-      sweepWords.textContent = `${run}: ${found.taken}${of} frequencies${bad}`;
-      if (found.taken !== taken) {
-        taken = found.taken;
-        for (const panel of sweepDrawn) panel.destroy();
-        sweepPlots.replaceChildren();
-        sweepDrawn = plots.draw(sweepPlots, found.figure);
-      }
-      sweep.dataset.taken = taken;
-    }
-    await new Promise(done => setTimeout(done, 1000));
-  }
-}
-
-function closeSweep() {
-  sweepTurn++;
-  sweep.hidden = true;
-}
-
+let chosen, studies, frame, watching = 0, shownStudy = null, sweep;
 
 async function look() {
   clearTimeout(watching);
   const { studies: all } = await get("/api/studies");
-  studies.replaceChildren(table(["study", "state", "", ""], all.map(it => {
+  studies.replaceChildren(all.length === 0 ? "" : table(["study", "state", "", ""], all.map(it => {
     const shown = it.stage === "running" ? `${it.doing}${it.share == null ? "" : `, ${(100 * it.share).toFixed(0)} %`}, ${it.seconds.toFixed(0)} s` : it.stage === "failed" ? `failed: ${it.doing}` : `${it.stage} after ${it.seconds.toFixed(0)} s`;
     const bar = it.stage === "running" ? element("progress", { max: 1, ...(it.share == null ? {} : { value: it.share }) }) : null;
     const open = it.has_page && it.stage === "done" ? button("Read", () => show(it.study), { className: "read" }) : null;
@@ -118,6 +90,7 @@ function show(study) {
   const printed = element("pre");
   get("/api/study/text", { study }).then(it => { printed.textContent = it.text; }).catch(error => say(error.message));
   frame.replaceChildren(element("details", {}, element("summary", { textContent: "as the command line prints it" }), printed), element("iframe", { src: `/api/study/page?study=${study}`, title: "the answer", sandbox: "allow-scripts" }));
+  frame.scrollIntoView();
 }
 
 async function take(study) {
@@ -130,14 +103,12 @@ export const diagnosis = {
   build(place) {
     chosen = element("select", { multiple: true, size: 8, ariaLabel: "runs and folders, diagnosed together" });
     studies = element("div");
-    frame = element("div");
+    frame = element("div", { id: "answer" });
     const quick = element("input", { type: "checkbox", checked: true });
     const names = () => [...chosen.selectedOptions].map(option => option.value);
     const start = question => act(async () => { shownStudy = "next"; await post("/api/study", question()); await look(); });
     const shunt = number(2000), exercise = choice([["rotation", "rotation"], ["flexion-extension", "flexion and extension"], ["lateral-flexion", "lateral flexion"], ["all", "all"]]);
-    sweepWords = element("p", { className: "callout" });
-    sweepPlots = element("div", { id: "swept" });
-    sweep = element("div", { hidden: true }, sweepWords, element("div", { className: "row" }, button("Close the sweep", closeSweep, { id: "close-sweep" })), sweepPlots);
+    sweep = sweeping(shunt, name => this.shown(name));
     const only = () => { if (names().length !== 1) throw new Error("choose one"); return names()[0]; };
     place.append(element("h2", { textContent: "Diagnosis" }),
       element("p", { className: "soft", textContent: "What the simulation gets wrong of the runs chosen, and why. The command line computes it beside the server; the motor's runs go before." }),
@@ -146,16 +117,17 @@ export const diagnosis = {
         button("Diagnose", start(() => ({ kind: "diagnose", runs: names(), quick: quick.checked })), { id: "diagnose", className: "primary" }),
         button("Plan the deciding runs", start(() => ({ kind: "next-runs", runs: names() })), { id: "decide" })),
       element("details", {}, element("summary", { textContent: "Identification and the neck" }),
-        element("div", { className: "row" }, field("shunt, \u03a9", shunt), button("Stator's circuit", start(() => ({ kind: "stator", run: only(), shunt_ohm: shunt.valueAsNumber })), { title: "of the sweep chosen above" }),
-          button("Watch it being swept", event => act(() => { watchSweep(only(), shunt.valueAsNumber).catch(error => { closeSweep(); say(error.message); }); })(event), { id: "watch-sweep", title: "of the sweep chosen above, while \u201ctwum instruments sweep\u201d writes it into the folder" }),
+        element("div", { className: "row" }, field("shunt, \u03a9", shunt), button("Stator's circuit", start(() => ({ kind: "stator", run: only(), shunt_ohm: shunt.valueAsNumber })), { title: "of the sweep chosen above", id: "circuit" }),
+          button("Watch it being swept", act(() => sweep.watch(only())), { id: "watch-sweep", title: "of the sweep chosen above, while \u201ctwum instruments sweep\u201d writes it into the folder" }),
           button("Friction", start(() => ({ kind: "friction", run: only() })), { title: "of the folder of trials chosen above" }),
           field("exercise", exercise), button("Neck", start(() => ({ kind: "neck", exercise: exercise.value })), { id: "neck" }))),
-      sweep, studies, frame);
+      sweep.form, sweep.shown, studies, frame);
   },
-  async shown() {
+  async shown(choose) {
     try {
-      const before = new Set([...chosen.selectedOptions].map(option => option.value)), { runs } = await get("/api/runs");
+      const before = choose ? new Set([choose]) : new Set([...chosen.selectedOptions].map(option => option.value)), { runs } = await get("/api/runs");
       chosen.replaceChildren(...runs.map(run => element("option", { value: run.name, textContent: `${run.name} (${run.kind})`, selected: before.has(run.name) })));
+      await sweep.fill();
       await look();
     } catch (error) { say(error.message); }
   },

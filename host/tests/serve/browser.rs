@@ -157,6 +157,8 @@ impl Browser {
             self.call("Emulation.setEmulatedMedia", media);
             let screen = json!({ "width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600 });
             self.call("Emulation.setDeviceMetricsOverride", screen);
+            // A frame that is out of sight is not drawn.
+            self.script("document.querySelector('iframe')?.scrollIntoView(); 0");
             std::thread::sleep(Duration::from_millis(400));
             let wide = self.script("document.documentElement.scrollWidth - document.documentElement.clientWidth");
             assert_eq!(wide, 0, "{name} scrolls sideways at {width} px");
@@ -228,22 +230,67 @@ fn a_person_runs_stops_and_changes_gains_with_mouse_and_keyboard() {
     let path = served.runs().join(format!("{}.mcap", last.as_str().unwrap()));
     assert_eq!(Recording::load(&path).unwrap().runs[0].configuration.unwrap().control.kp, 50.5);
 
+    draws_way_points(&mut browser);
+    is_told_of_a_fault(&mut browser);
     let motor = concat!(env!("CARGO_MANIFEST_DIR"), "/crates/motor/motors/pcbmotor-30mm.toml");
     std::fs::copy(motor, served.runs().join("mine.toml")).unwrap();
     looks_at_runs_and_the_model(&mut browser);
     std::fs::write(served.runs().join("stator.csv"), sweep()).unwrap();
     served.has_example("bench3");
     watches_a_sweep(&mut browser);
+    sweeps_a_stator(&mut browser);
     diagnoses_the_example(&mut browser);
     browser.call("Page.reload", json!({}));
     browser.until("['nobody', 'another'].includes(document.body?.dataset.holder)");
     assert_eq!(browser.console, Vec::<String>::new());
 }
 
+/// A point is added by a click; what cannot be read is not run.
+fn draws_way_points(browser: &mut Browser) {
+    browser.script("location.hash = '#bench'; 0");
+    browser.until(IDLE);
+    browser.script("(s => { s.value = 'path'; s.onchange(); })(document.querySelector('#page-bench select')); 0");
+    let lines = "document.querySelector('#page-bench textarea').value.trim().split('\\n').length";
+    assert_eq!(browser.script(lines), 3);
+    browser.click(".drawn");
+    assert_eq!(browser.script(lines), 4);
+    browser.looks("path");
+    browser.script("(t => { t.value = '90 3\\n0'; t.oninput(); })(document.querySelector('#page-bench textarea')); 0");
+    browser.enter("#run");
+    browser.until("document.querySelector('#said').textContent.includes('way points')");
+    assert_eq!(browser.script(OFF), true);
+    browser.script("(s => { s.value = 'sine'; s.onchange(); })(document.querySelector('#page-bench select')); 0");
+}
+
+/// A bound that the sine leaves: the fault in words, with what to do, until it is cleared.
+fn is_told_of_a_fault(browser: &mut Browser) {
+    let give = |browser: &mut Browser, value: &str| {
+        browser.script("location.hash = '#settings'; 0");
+        browser.until("document.querySelector('input[aria-label=\"limits.position_max\"]')");
+        browser.script(&format!("(i => {{ i.value = '{value}'; i.dispatchEvent(new Event('input')); }})(document.querySelector('input[aria-label=\"limits.position_max\"]'))"));
+        browser.until("!document.querySelector('#send').disabled");
+        browser.enter("#send");
+        browser
+            .until(&format!("document.querySelector('#said').textContent.includes('limits.position_max = {value}')"));
+        browser.script("location.hash = '#bench'; 0");
+        browser.until(IDLE);
+    };
+    browser.until("document.querySelector('#force').textContent.includes('kp 50.5')");
+    give(browser, "20");
+    browser.enter("#run");
+    browser.until("document.querySelector('#mode').textContent === 'FAULT PositionBound'");
+    browser.until("document.querySelector('#fault').textContent.includes('clear the fault') && document.querySelector('#run').disabled");
+    browser.looks("fault");
+    browser.until("!document.querySelector('#clear').disabled");
+    browser.enter("#clear");
+    browser.until(OFF);
+    give(browser, "1000000");
+}
+
 /// The run in full, two over each other; the model moves with its sliders.
 fn looks_at_runs_and_the_model(browser: &mut Browser) {
     browser.script("location.hash = '#runs'; 0");
-    browser.until("document.querySelectorAll('#page-runs tbody tr').length === 3");
+    browser.until("document.querySelectorAll('#page-runs tbody tr').length === 4");
     browser.looks("runs");
     browser.script("location.hash = '#runs/run-0001-sine.mcap'; 0");
     browser.until("document.querySelectorAll('#plots .uplot').length === 5");
@@ -290,6 +337,51 @@ fn watches_a_sweep(browser: &mut Browser) {
     browser.looks("sweep");
     browser.script("document.querySelector('#page-diagnosis option[value=\"stator.csv\"]').selected = false; 0");
     browser.enter("#close-sweep");
+}
+
+/// A sweep that is begun here, stopped by a key, gone on with, and identified.
+fn sweeps_a_stator(browser: &mut Browser) {
+    let set = |label: &str, value: &str| {
+        format!(
+            "(i => {{ i.value = '{value}'; i.dispatchEvent(new Event('input')); }})([...document.querySelectorAll('#sweeping label')].find(l => l.textContent === '{label}').querySelector('input')); 0"
+        )
+    };
+    browser.enter("#sweeping summary");
+    browser.until("document.querySelector('#sweeping').open && !document.querySelector('#sweep').disabled");
+    // Space stops; Enter ticks a box.
+    let both = "document.querySelector('#sweeping input[type=checkbox]').checked";
+    browser.script("document.querySelector('#sweeping input[type=checkbox]').focus(); 0");
+    for (key, code, is_ticked) in [("Enter", 13, false), (" ", 32, false), ("Enter", 13, true)] {
+        browser.key(key, code);
+        assert_eq!(browser.script(both), is_ticked, "{key:?}");
+    }
+    browser.looks("to-sweep");
+    for (label, value) in [("from, Hz", "42000"), ("to, Hz", "46000"), ("step, Hz", "10")] {
+        browser.script(&set(label, value));
+    }
+    browser.enter("#sweep");
+    let swept = "Number(document.querySelector('#swept').parentElement.dataset.taken)";
+    browser.until(&format!("{swept} > 20 && document.querySelectorAll('#swept .uplot').length === 3"));
+    browser.looks("sweeping");
+    browser.key("Escape", 27);
+    browser.until("document.querySelector('#said').textContent.includes('stopped after') && document.querySelector('#said').textContent.includes('the generator is off')");
+    let taken = browser.script(swept).as_f64().unwrap();
+    assert!(taken < 401.0, "{taken}");
+    browser.until("!document.querySelector('#sweep').disabled");
+    browser.enter("#sweep");
+    browser.until(&format!(
+        "{swept} === 401 && document.querySelector('#doing').textContent.includes('done; the generator is off')"
+    ));
+    browser.until("document.querySelector('#page-diagnosis option[value=\"stator-1.csv\"]')?.selected");
+    browser.enter("#circuit");
+    browser.until("document.querySelector('#page-diagnosis iframe')");
+    browser.until("document.querySelector('#page-diagnosis pre').textContent.includes('fs')");
+    // The answer is what is seen.
+    browser.until("document.querySelector('iframe').getBoundingClientRect().top < 400");
+    std::thread::sleep(Duration::from_secs(1));
+    browser.looks("stator");
+    browser.enter("#close-sweep");
+    browser.script("document.querySelector('#page-diagnosis option[value=\"stator-1.csv\"]').selected = false; document.querySelector('#page-diagnosis iframe').remove(); 0");
 }
 
 /// A shipped folder is diagnosed to the cause that is hidden in it; the report stands in a frame that reaches nothing else.

@@ -68,14 +68,14 @@ fn watched(watchers: usize, seconds: u32) {
         .map(|(page, from)| (page.points() - from) as f64 / began.elapsed().as_secs_f64())
         .collect();
     let [usual, worst] = lateness_ms(&served.runs().join(name));
+    let to_pages = rates.iter().copied().reduce(f64::min).zip(rates.iter().copied().reduce(f64::max));
+    let watched = to_pages.map_or("no page".to_owned(), |(least, most)| {
+        format!("{watchers} pages, {least:.1} to {most:.1} points a second each, and one that never reads")
+    });
     println!(
-        "{watchers} pages{}, {seconds} s: {}; 99.9 % of the frames at most {usual:.1} ms late in the file, the worst {worst:.1} ms; \
-         {:.1} to {:.1} points a page and second; memory {before:.0} MB at first, {most:.0} MB at most; late ticks {}",
-        if watchers > 0 { " and one that never reads" } else { "" },
-        state["last"]["words"],
-        rates.iter().copied().fold(f64::INFINITY, f64::min),
-        rates.iter().copied().fold(0.0, f64::max),
-        state["late_ticks"]
+        "{watched}, {seconds} s: {}; 99.9 % of the frames at most {usual:.1} ms late in the file, the worst {worst:.1} ms; \
+         memory {before:.0} MB at first, {most:.0} MB at most; late ticks {}",
+        state["last"]["words"], state["late_ticks"]
     );
     assert_eq!(state["last"]["ok"], true, "{state}");
     assert!(rates.iter().all(|rate| *rate > 5.0), "{rates:?}");

@@ -10,7 +10,7 @@ use std::time::Duration;
 const JSON: &str = "Content-Type: application/json";
 
 /// What changes anything.
-const CHANGES: [&str; 14] = [
+const CHANGES: [&str; 15] = [
     "/api/login",
     "/api/stop",
     "/api/take",
@@ -25,6 +25,7 @@ const CHANGES: [&str; 14] = [
     "/api/study/cancel",
     "/api/experiment/plan",
     "/api/experiment/run",
+    "/api/sweep/run",
 ];
 
 #[test]

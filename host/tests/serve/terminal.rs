@@ -164,8 +164,13 @@ fn a_terminal_that_is_frozen_lets_the_command_timeout_run_out_and_a_stop_takes_t
     served.stop();
 }
 
-pub fn signal_to(child: &Child, signal: &str) {
-    let sent = std::process::Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status();
+pub fn signal_to(child: &Child, name: &str) {
+    signal(child.id(), name);
+}
+
+/// As [`signal_to`], to a program that is known by its number.
+pub fn signal(process: u32, name: &str) {
+    let sent = std::process::Command::new("kill").args([&format!("-{name}"), &process.to_string()]).status();
     assert!(sent.unwrap().success());
 }
 

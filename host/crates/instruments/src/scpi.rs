@@ -127,11 +127,15 @@ impl Scpi {
     /// Opens `/dev/usbtmcN`, `host`, `host:port` or `tcp://host:port`.
     ///
     /// # Errors
-    /// [`InstrumentError::Open`] when there is nothing there.
+    /// [`InstrumentError::Open`] when there is nothing there, or a file that a command would be written into.
     pub fn open(address: &str) -> Result<Self, InstrumentError> {
         let failed = |cause| InstrumentError::Open { address: address.to_owned(), cause };
         let line = if address.starts_with('/') {
-            Line::Usbtmc(OpenOptions::new().read(true).write(true).open(address).map_err(failed)?)
+            let file = OpenOptions::new().read(true).write(true).open(address).map_err(failed)?;
+            if file.metadata().map_err(failed)?.is_file() {
+                return Err(failed(std::io::Error::new(ErrorKind::InvalidInput, "this is no device but a file")));
+            }
+            Line::Usbtmc(file)
         } else {
             let host = address.trim_start_matches("tcp://");
             let place = if host.contains(':') { host.to_owned() } else { format!("{host}:{RIGOL_PORT}") };
@@ -330,6 +334,15 @@ mod tests {
         assert_eq!(take_block(&stream[..11]), Ok(Some(Block { data: b"a\nb#", rest: b"" })));
         assert_eq!(take_block(stream), Ok(Some(Block { data: b"a\nb#", rest: b"\n1.0\n" })));
         assert_eq!(take_block(b"#10"), Ok(Some(Block { data: b"", rest: b"" })));
+    }
+
+    #[test]
+    fn nothing_is_written_into_a_file_that_is_no_device() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "time_us,level").unwrap();
+        let error = Scpi::open(file.path().to_str().unwrap()).and_then(|mut scpi| scpi.query("*IDN?")).unwrap_err();
+        assert!(error.to_string().contains("no device"), "{error}");
+        assert_eq!(std::fs::read_to_string(file.path()).unwrap(), "time_us,level");
     }
 
     #[test]

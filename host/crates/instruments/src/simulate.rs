@@ -13,7 +13,18 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
-use twum_identify::circuit::Circuit;
+use twum_identify::circuit::{Circuit, Mode};
+
+/// Motional inductance of the thesis's stator (H).
+pub const INDUCTANCE_H: f64 = 2.1094;
+/// Its motional capacitance (F).
+pub const CAPACITANCE_F: f64 = 6.1653e-12;
+/// Its motional resistance (Ω).
+pub const RESISTANCE_OHM: f64 = 18_488.0;
+/// A clamped capacitance (F): the thesis's own is part of its probes'.
+pub const CLAMPED_F: f64 = 150e-12;
+/// A dielectric loss (Ω).
+pub const LOSS_OHM: f64 = 2e6;
 
 /// Output resistance of the generator (Ω).
 const SOURCE_OHM: f64 = 50.0;
@@ -33,6 +44,21 @@ pub struct Setup {
     pub seed: u64,
     /// Ports of generator and oscilloscope; 0 takes any.
     pub ports: (u16, u16),
+}
+
+impl Default for Setup {
+    /// The thesis's stator and shunt, and a DS1104Z.
+    fn default() -> Self {
+        let mode = Mode::from_elements(INDUCTANCE_H, CAPACITANCE_F, RESISTANCE_OHM);
+        Self {
+            circuit: Circuit::single(CLAMPED_F, LOSS_OHM, mode),
+            shunt_ohm: 2000.0,
+            noise_v: 0.01,
+            family: Family::Ds1104z,
+            seed: 1,
+            ports: (0, 0),
+        }
+    }
 }
 
 /// One output of the generator.

@@ -47,7 +47,7 @@ pub enum SweepError {
         expected: String,
     },
     /// Somebody asked to stop.
-    #[error("stopped after {done} of {total} frequencies; run the same command again to go on")]
+    #[error("stopped after {done} of {total} frequencies; the same sweep into the same file goes on from there")]
     Stopped {
         /// Frequencies in the file.
         done: usize,
@@ -112,7 +112,7 @@ impl Plan {
 /// Runs a sweep into `path`, or goes on with the one begun there; returns how many frequencies it took.
 ///
 /// The generator's outputs are off when this returns, whatever happened: at the end, on an error, when `stop` was set (by
-/// Ctrl-C or a termination signal) and on a panic, by the generator's drop. Only a kill that cannot be caught, or a cut
+/// Ctrl-C, a termination signal or whoever started it) and on a panic, by the generator's drop. Only a kill that cannot be caught, or a cut
 /// cable, leaves them on.
 ///
 /// # Errors
@@ -138,16 +138,19 @@ pub fn run(
     let todo: Vec<f64> = frequencies.iter().copied().filter(|f| !done.contains(&label(*f))).collect();
     let total = frequencies.len();
     let Some(first) = todo.first() else { return Ok(0) };
+    let unless_stopped = |done| match stop.load(Ordering::Relaxed) {
+        true => Err(SweepError::Stopped { done, total }),
+        false => Ok(()),
+    };
     let result = (|| {
         scope.prepare(plan.from_hz, plan.vpp)?;
         generator.prepare(*first, plan.vpp)?;
+        unless_stopped(total - todo.len())?;
         generator.on()?;
         for (index, &frequency_hz) in todo.iter().enumerate() {
             let ready = total - todo.len() + index;
             progress(ready, total);
-            if stop.load(Ordering::Relaxed) {
-                return Err(SweepError::Stopped { done: ready, total });
-            }
+            unless_stopped(ready)?;
             generator.tune(frequency_hz)?;
             std::thread::sleep(plan.settle);
             let [one, two] = scope.acquire()?;
