@@ -7,6 +7,7 @@ mod robust;
 mod steady;
 
 use super::flavour::FlavourArgs;
+use super::uncertainty::UncertaintyArgs;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use serde::Serialize;
@@ -30,6 +31,7 @@ Examples:
   twum model loop --flavour measured --csv loop.csv --plot loop.svg     the thesis's closed loop
   twum model braking                                how much the rotor brakes with the drive off
   twum model robust --control thesis --control default    both on 200 motors that differ
+  twum model speed --motor own/motor.toml --flavour measured --uncertainty     with the band the file leaves
   twum model check                                  the tables of docs/model.md, for this motor
 
 Parameters of --set are those of the thesis's section A.4: f, Vrms, Ms, Cs, Ks, eta, Rr, R0, b, n, h, Mr, Jr, Cz, Ctheta,
@@ -114,6 +116,8 @@ struct Common {
     solver: SolverArg,
     #[command(flatten)]
     flavour: FlavourArgs,
+    #[command(flatten)]
+    uncertainty: UncertaintyArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -151,6 +155,15 @@ impl Common {
             output::may_write(path, Existing::Keep)?;
         }
         Ok(setup)
+    }
+
+    /// Motors that the file's uncertainties leave possible, where bands are asked for; what `--set` sets is exact.
+    fn possible(&self, setup: &Setup) -> Result<Option<Vec<Setup>>> {
+        let exact: Vec<String> =
+            self.set.iter().filter_map(|set| Some(set.split_once('=')?.0.trim().to_owned())).collect();
+        let motor = Motor::load(&self.motor)?;
+        let motors = self.uncertainty.draws(&motor, setup.flavour, &setup.parameters, &exact)?;
+        Ok(motors.map(|motors| motors.into_iter().map(|parameters| Setup { parameters, ..*setup }).collect()))
     }
 
     fn draw(&self, figure: impl FnOnce() -> Result<Figure>) -> Result<()> {
