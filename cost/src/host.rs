@@ -27,7 +27,7 @@ const LONGER_LIMIT: u32 = 8_000;
 /// Random controllers that wait with a reversal: under the longer limit.
 const WAITING: &str = "random, waiting";
 /// A drive that is gated by a model of the rotor, and random ones: likewise.
-const GATED: [&str; 2] = ["gated", "random, gated"];
+const GATED: [&str; 3] = ["gated", "planned", "random, gated"];
 /// How many times more the doubles must cost.
 const RATIO_LIMIT: f64 = 10.0;
 /// Random controllers, and random ticks of each: more than a million steps.
@@ -71,6 +71,7 @@ fn measure(guest: &Path) -> io::Result<bool> {
         recorded("thesis", ConfigSpec::THESIS),
         recorded("default", ConfigSpec::DEFAULT),
         recorded(GATED[0], ConfigSpec::GATED),
+        recorded(GATED[1], ConfigSpec::PLANNED),
     ];
     let mut pcg = Pcg(1);
     runs.extend((0..RANDOM.0).map(|index| random(&mut pcg, index % 2 == 1)));
@@ -348,13 +349,14 @@ fn random_gated(pcg: &mut Pcg) -> Run {
             braking_counts_s2: pcg.next() >> (pcg.next() % 24),
             delay_ticks: (pcg.next() % 9) as u8,
             shortest_pulse_ticks: (1 + pcg.next() % 8) as u8,
+            pulse_period_ticks: (1 + pcg.next() % 2 * (pcg.next() % 40)) as u8,
             ..ConfigSpec::GATED
         };
         if let Ok(config) = Config::try_from(spec) {
             break config;
         }
     };
-    Run { name: GATED[1], inputs: walks(pcg), config, telemetry: false }
+    Run { name: GATED[2], inputs: walks(pcg), config, telemetry: false }
 }
 
 fn walks(pcg: &mut Pcg) -> Vec<Inputs> {

@@ -103,6 +103,7 @@ fn tables(configuration: &Configuration) -> [(&'static str, Vec<(String, Value)>
         named("braking_counts_s2", i64::from(control.braking_counts_s2).into()),
         named("delay_ticks", i64::from(control.delay_ticks).into()),
         named("shortest_pulse_ticks", i64::from(control.shortest_pulse_ticks).into()),
+        named("pulse_period_ticks", i64::from(control.pulse_period_ticks).into()),
     ];
     let limits = Table::try_from(limits).expect("limits are a struct of integers");
     [("", bench), ("control", control), ("limits", limits.into_iter().collect())]
@@ -128,7 +129,7 @@ pub fn to_toml(configuration: &Configuration) -> String {
     let mut text = String::from(
         "# Configuration of a board; `twum config load` sends it. Gains are in duty steps: kp a count, ki_tick a count and tick,\n\
          # kd_tick a count/tick, feed_forward a count/s. A tick is period_us long. [control] may also be `control = \"thesis\"`,\n\
-         # `\"default\"` or `\"gated\"`. What is left out stays as the board has it.\n",
+         # `\"default\"`, `\"gated\"` or `\"planned\"`. What is left out stays as the board has it.\n",
     );
     for (table, rows) in tables(configuration) {
         if !table.is_empty() {
@@ -163,7 +164,7 @@ pub fn overlay(base: &Configuration, text: &str) -> Result<Configuration, Config
             ("pwm_hz", value) => configuration.pwm_hz = integer(&key, &value)?,
             ("control", Value::String(name)) => {
                 let Some(control) = ConfigSpec::named(&name) else {
-                    let known = "`thesis`, `default`, `gated` or a table [control]";
+                    let known = "`thesis`, `default`, `gated`, `planned` or a table [control]";
                     return Err(wrong("control", &Value::String(name), known));
                 };
                 choose(&mut configuration, control);
@@ -202,7 +203,7 @@ pub fn overlay_only_limits(base: &Configuration, text: &str) -> Result<Configura
     Ok(configuration)
 }
 
-/// A controller by name (`thesis`, `default`, `gated`), or from a file: its table `[control]`, of which what is left out is the default's,
+/// A controller by name (`thesis`, `default`, `gated`, `planned`), or from a file: its table `[control]`, of which what is left out is the default's,
 /// or a file of gains as a measurement folder has them.
 ///
 /// # Errors
@@ -268,6 +269,7 @@ fn overlay_control(control: &mut ConfigSpec, table: Table) -> Result<(), Configu
             "braking_counts_s2" => control.braking_counts_s2 = integer(&name, &value)?,
             "delay_ticks" => control.delay_ticks = integer(&name, &value)?,
             "shortest_pulse_ticks" => control.shortest_pulse_ticks = integer(&name, &value)?,
+            "pulse_period_ticks" => control.pulse_period_ticks = integer(&name, &value)?,
             _ => return Err(ConfigurationError::Unknown(name)),
         }
     }

@@ -9,7 +9,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Version of the protocol. Another version is refused at the first frame.
-pub const PROTOCOL_VERSION: u8 = 5;
+pub const PROTOCOL_VERSION: u8 = 6;
 /// Longest frame before COBS, bytes.
 pub const MAX_PLAIN: usize = 680;
 /// Longest frame on the line, its separator included, bytes.
@@ -261,6 +261,9 @@ mod tests {
             on: u16::MAX,
             cw: u16::MAX,
             held: u8::MAX,
+            since: u8::MAX,
+            driven: i32::MIN,
+            coasted: i32::MIN,
         };
         let state = State { integral: i32::MIN, previous_error: i32::MIN, direction: Direction::Cw, reversal, rotor };
         std::vec![

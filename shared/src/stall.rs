@@ -11,7 +11,7 @@
 
 use crate::Duty;
 use crate::message::Configuration;
-use crate::step::DriveLaw;
+use crate::step::{ConfigSpec, DriveLaw};
 
 /// The default budget is 250 ms of full drive, in which the identified motor, at 35 rpm, makes 7/48 of a turn.
 const BUDGET_TURNS: (u64, u64) = (7, 48);
@@ -69,7 +69,11 @@ impl Rules {
         // so that nothing leaves 64 bits.
         let moved = (u64::from(per_turn) * turns * period_us * u64::from(HELD_AGAINST_HZ)) << (15 + EDGE_BITS - 13);
         let drive = (of * pwm_hz * budget) >> 13;
-        let full = (moved / drive.max(1)).min(MOST_A_TICK) * u64::from(limits.slowest_percent) / 100;
+        let slowest = (moved / drive.max(1)).min(MOST_A_TICK) * u64::from(limits.slowest_percent) / 100;
+        let full = match configuration.control.law {
+            DriveLaw::Gated => slowest.max(told(&configuration.control).min(MOST_A_TICK)),
+            DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => slowest,
+        };
         let start = u32::from(limits.slow_start_duty);
         let in_range = |value| u32::try_from(value).unwrap_or(u32::MAX);
         Self {
@@ -86,6 +90,12 @@ impl Rules {
         // A duty has 15 bits after the point, its square 30.
         if duty < self.start { upper((duty * duty) << 2, self.square) } else { upper(duty << 16, self.full) << 1 }
     }
+}
+
+/// What a tick of full drive owes of a motor whose speed the controller is told: it takes it for half as fast at the least, and of each
+/// pulse half may go into the start.
+fn told(control: &ConfigSpec) -> u64 {
+    ((u64::from(control.full_speed_counts_s) * u64::from(control.period_us)) << EDGE_BITS) / 4_000_000
 }
 
 /// The upper half of a product.

@@ -1,17 +1,19 @@
 //! The one pure control step: target and position in, signed drive out, integers only.
 //!
-//! Three named configurations exist. [`ConfigSpec::THESIS`] is the arithmetic of the thesis's position controller
+//! Four named configurations exist. [`ConfigSpec::THESIS`] is the arithmetic of the thesis's position controller
 //! (appendix C.2), quirks included; [`ConfigSpec::DEFAULT`] is what this project recommends; [`ConfigSpec::GATED`] knows its
-//! motor and is an order better, where the driver board follows pulses of a millisecond. All run through the same [`step`],
-//! and so does anything a user configures.
+//! motor and is an order better, where the driver board follows pulses of a millisecond as they come; [`ConfigSpec::PLANNED`] makes one
+//! pulse of that knowledge every 20 ms. All run through the same [`step`], and so does anything a user configures.
 
 mod gated;
+mod planned;
 mod reversal;
+mod rotor;
 
 use crate::{Direction, Duty};
 use fixed::types::{I16F48, I32F32};
-pub use gated::Rotor;
 pub use reversal::Reversal;
+pub use rotor::Rotor;
 use serde::{Deserialize, Serialize};
 
 /// How the control signal becomes a duty.
@@ -64,6 +66,8 @@ pub struct ConfigSpec {
     pub delay_ticks: u8,
     /// Shortest pulse, and shortest rest, that the driver board follows, control periods.
     pub shortest_pulse_ticks: u8,
+    /// From one pulse's beginning to the next at least, control periods; at 1 a pulse begins and ends when it has to.
+    pub pulse_period_ticks: u8,
 }
 
 impl ConfigSpec {
@@ -87,6 +91,7 @@ impl ConfigSpec {
         braking_counts_s2: 0,
         delay_ticks: 0,
         shortest_pulse_ticks: 0,
+        pulse_period_ticks: 0,
     };
 
     /// The recommended controller: finer duty, symmetric anti-windup, feed-forward of the target's rate, true off.
@@ -110,6 +115,7 @@ impl ConfigSpec {
         braking_counts_s2: 0,
         delay_ticks: 0,
         shortest_pulse_ticks: 0,
+        pulse_period_ticks: 0,
     };
 
     /// The 30 mm PCBMotor under a drive that is gated every control period, with pulses of 1 ms and more: 35 rpm at full drive,
@@ -130,18 +136,27 @@ impl ConfigSpec {
         braking_counts_s2: 16_400,
         delay_ticks: 2,
         shortest_pulse_ticks: 2,
+        pulse_period_ticks: 1,
         ..Self::DEFAULT
     };
+
+    /// [`ConfigSpec::GATED`] with one pulse every 20 ms, for a driver board made for 50 Hz.
+    pub const PLANNED: Self = Self { pulse_period_ticks: 40, ..Self::GATED };
 }
 
 impl ConfigSpec {
     /// The controllers that have a name.
-    pub const NAMED: [(&'static str, Self); 3] =
-        [("thesis", Self::THESIS), ("default", Self::DEFAULT), ("gated", Self::GATED)];
+    pub const NAMED: [(&'static str, Self); 4] =
+        [("thesis", Self::THESIS), ("default", Self::DEFAULT), ("gated", Self::GATED), ("planned", Self::PLANNED)];
 
     /// The controller of a name.
     pub fn named(name: &str) -> Option<Self> {
         Self::NAMED.into_iter().find(|(known, _)| *known == name).map(|(_, spec)| spec)
+    }
+
+    /// Whether a gated drive makes one pulse a period, instead of one whenever it has to.
+    const fn has_pulse_period(&self) -> bool {
+        self.pulse_period_ticks > 1
     }
 
     /// The PWM frequency that goes with the law, Hz: the thesis's, or one period for each tick of a gated drive.
@@ -175,7 +190,7 @@ pub enum ConfigError {
     /// A model of the rotor that fixed point cannot hold.
     #[error(
         "a gated drive needs full_speed_counts_s up to 8 counts a tick, a braking that it has some ticks to bear, \
-         delay_ticks up to 8, shortest_pulse_ticks 1 to 40 and reversal_rest_ticks above 0"
+         delay_ticks up to 8, shortest_pulse_ticks and pulse_period_ticks 1 to 40 and reversal_rest_ticks above 0"
     )]
     Rotor,
 }
@@ -208,7 +223,7 @@ impl core::fmt::Display for GainName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     spec: ConfigSpec,
-    model: gated::Model,
+    model: rotor::Model,
     /// A count/s in counts a tick, 2^-32.
     rate_of_one: u32,
 }
@@ -258,8 +273,8 @@ impl TryFrom<ConfigSpec> for Config {
             return Err(ConfigError::Reversal);
         }
         let model = match spec.law {
-            DriveLaw::Gated => gated::Model::of(&spec).ok_or(ConfigError::Rotor)?,
-            DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => gated::Model::default(),
+            DriveLaw::Gated => rotor::Model::of(&spec).ok_or(ConfigError::Rotor)?,
+            DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => rotor::Model::default(),
         };
         // At most 10 000 µs: below 2^26.
         let rate_of_one = ((u64::from(spec.period_us) << 32) / 1_000_000) as u32;

@@ -7,14 +7,21 @@ use twum_shared::message::{Configuration, DeviceMessage, HostMessage, TrackRun};
 use twum_shared::reference::Reference;
 use twum_shared::step::ConfigSpec;
 
-/// Made by the last program of that version: `twum track --port sim --control thesis --seconds 1.5 --out protocol-N.mcap`.
-fn recording(version: u8) -> PathBuf {
+/// Made by the last program of that version: `twum track --port sim --control thesis --seconds 1.5 --out protocol-N.mcap`,
+/// of version 5 also with `--control gated`.
+fn recording(version: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("data/protocol-{version}.mcap"))
 }
 
 /// Frames of the device, of the host, and in the file: what each program's own `twum replay` said of its recording.
-const FRAMES: [(u8, [u64; 3]); 4] =
-    [(1, [267, 39, 306]), (2, [261, 32, 293]), (3, [261, 32, 293]), (4, [261, 84, 345])];
+const FRAMES: [(&str, [u64; 3]); 6] = [
+    ("1", [267, 39, 306]),
+    ("2", [261, 32, 293]),
+    ("3", [261, 32, 293]),
+    ("4", [261, 84, 345]),
+    ("5", [259, 84, 343]),
+    ("5-gated", [259, 84, 343]),
+];
 
 #[test]
 fn recordings_of_earlier_versions_replay_bit_for_bit() {
@@ -30,11 +37,12 @@ fn recordings_of_earlier_versions_replay_bit_for_bit() {
 }
 
 /// Fails when a field that a version had not is read from its bytes (what follows it would be another's), or when what stands in
-/// its place is not what that version did: the motor as slow as it might be in version 2, reversals at once in version 3, no model of the rotor in version 4.
+/// its place is not what that version did: the motor as slow as it might be in version 2, reversals at once in version 3, no model of the rotor in version 4, no period of
+/// pulses in version 5.
 #[test]
 fn a_configuration_of_an_earlier_version_is_what_it_was() {
     let expected = Configuration::with_control(ConfigSpec::THESIS);
-    for version in [2, 3, 4] {
+    for version in ["2", "3", "4", "5"] {
         let mut decoder = Decoder::open(recording(version)).unwrap();
         let (mut set, mut in_force) = (0, 0);
         while let Some(item) = decoder.next_item().unwrap() {
@@ -57,7 +65,7 @@ fn a_configuration_of_an_earlier_version_is_what_it_was() {
 
 #[test]
 fn what_the_host_said_in_version_1_is_read_as_what_it_was() {
-    let mut decoder = Decoder::open(recording(1)).unwrap();
+    let mut decoder = Decoder::open(recording("1")).unwrap();
     let mut said = Vec::new();
     while let Some(item) = decoder.next_item().unwrap() {
         match item {

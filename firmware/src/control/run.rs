@@ -12,6 +12,7 @@ const MAX_DURATION_MS: u32 = 3_600_000;
 
 /// What drives the motor in [`Mode::Running`].
 #[derive(Debug)]
+#[allow(clippy::large_enum_variant, reason = "there is one, and nothing to allocate the other from")]
 pub(super) enum Run {
     Speed(SpeedRun),
     Track { run: TrackRun, state: State, origin: i32 },

@@ -16,7 +16,7 @@ use twum_shared::step::ConfigSpec;
 /// without a configuration gets the default.
 #[derive(Debug, clap::Args)]
 pub struct ConfigurationArgs {
-    /// Controller: `thesis`, `default`, `gated`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains [default: your
+    /// Controller: `thesis`, `default`, `gated`, `planned`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains [default: your
     /// own, or the board's]
     #[arg(long)]
     control: Option<String>,

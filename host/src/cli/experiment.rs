@@ -51,7 +51,8 @@ struct Wanted {
     /// Length of each run of a first experiment, s
     #[arg(long, default_value_t = SECONDS)]
     seconds: f64,
-    /// Instead, ask how short a pulse of the drive is followed: half duty in pulses of 10, 2, 1 and 0.5 ms, both ways
+    /// Instead, ask how short a pulse of the drive is followed: pulses of 10, 2, 1 and 0.5 ms at half duty, and of 4, 2 and 1 ms
+    /// every 20 ms, both ways
     #[arg(long, conflicts_with_all = ["folders", "duties", "trials", "seconds"])]
     pulses: bool,
 }

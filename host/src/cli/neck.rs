@@ -170,6 +170,7 @@ enum ControlArg {
     Thesis,
     Default,
     Gated,
+    Planned,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -264,6 +265,7 @@ fn setup(args: &RunArgs) -> Result<Setup> {
     let control = match (args.control, flavour) {
         (Some(ControlArg::Thesis), _) | (None, Flavour::Thesis) => Named::Thesis,
         (Some(ControlArg::Gated), _) => Named::Gated,
+        (Some(ControlArg::Planned), _) => Named::Planned,
         (Some(ControlArg::Default), _) | (None, Flavour::Physical | Flavour::Measured) => Named::Default,
     };
     let solver = match args.solver {

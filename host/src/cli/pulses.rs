@@ -13,7 +13,7 @@ use twum_host::pulses::judge;
     after_help = "Examples:\n  twum experiment run --pulses --port /dev/ttyUSB0 --out pulses\n  twum experiment pulses pulses"
 )]
 pub struct Args {
-    /// Folder of runs at half duty with different PWM frequencies
+    /// Folder of runs with pulses of different lengths
     folder: PathBuf,
     /// Print JSON
     #[arg(long)]
@@ -30,17 +30,22 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let rows: Vec<Vec<String>> = found
         .pulses
         .iter()
+        .chain(&found.one_by_one)
         .map(|pulse| {
             let said = if pulse.followed { "yes" } else { "no" };
             vec![
                 format!("{}", pulse.pulse_ms),
+                format!("{}", pulse.every_ms),
                 format!("{:.0}", pulse.edges_s),
                 format!("{:.2}", pulse.share),
                 said.to_owned(),
             ]
         })
         .collect();
-    print_table(&["pulse (ms)", "edges/s", "of the longest", "followed"], &rows);
+    print_table(&["pulse (ms)", "every (ms)", "edges/s", "of the longest", "followed"], &rows);
     println!("a gated drive needs shortest_pulse_ticks = {} or more here", found.shortest_pulse_ticks);
+    if let Some(ticks) = found.shortest_planned_ticks {
+        println!("a planned one, with a pulse every 20 ms, needs {ticks} or more");
+    }
     Ok(ExitCode::SUCCESS)
 }

@@ -146,7 +146,7 @@ fn check(args: &Args) -> Result<()> {
 }
 
 /// The files that `--save` writes.
-const FILES: [&str; 4] = ["thesis.toml", "default.toml", "gated.toml", "motor.toml"];
+const FILES: [&str; 5] = ["thesis.toml", "default.toml", "gated.toml", "planned.toml", "motor.toml"];
 
 /// Makes the plan's runs; where the measurement is.
 fn measure(args: &Args, out: &Path) -> Result<PathBuf> {

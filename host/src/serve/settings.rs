@@ -19,7 +19,7 @@ pub struct Row {
 }
 
 /// Unit and bounds of every key; what the firmware's own checks refuse.
-const KEYS: [(&str, &str, &str); 34] = [
+const KEYS: [(&str, &str, &str); 35] = [
     ("count_sign", "", "positive or reversed"),
     ("edges_per_rev", "edges", "2 to 10000"),
     ("pwm_hz", "Hz", "10 to 2000"),
@@ -40,6 +40,7 @@ const KEYS: [(&str, &str, &str); 34] = [
     ("control.braking_counts_s2", "counts/s\u{b2}", "of a gated drive: above 0"),
     ("control.delay_ticks", "ticks", "at most 8"),
     ("control.shortest_pulse_ticks", "ticks", "of a gated drive: 1 to 40"),
+    ("control.pulse_period_ticks", "ticks", "of a gated drive: 1 to 40, 1 for a pulse whenever it has to be"),
     ("limits.command_timeout_ms", "ms", "1 to 2000"),
     ("limits.stall_duty", "1/32768", "1 to 32768"),
     ("limits.stall_ms", "ms", "1 to 2000"),

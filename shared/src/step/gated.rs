@@ -2,195 +2,18 @@
 //!
 //! Duty is an average, and over a slow PWM period the rotor runs ahead of its target and waits for it. Here the drive is
 //! either on or off for a tick, and the question of every tick is where the rotor would come to rest, relative to the moving
-//! target, if it were switched off now. The encoder answers with whole counts only; between two edges [`Rotor`] goes on with
-//! what it knows of the motor, and each edge, with its time, puts it right.
-//!
-//! Angles are in 2^-20 count, speeds in that a tick; all fits 32 bits, for the speeds that [`Model::of`] lets pass. What is
-//! decided is measured by what full drive turns in a tick, so that it does not depend on the encoder.
+//! target, if it were switched off now. The encoder answers with whole counts only; between two edges [`Rotor`](super::Rotor) goes
+//! on with what it knows of the motor, and each edge, with its time, puts it right. Where pulses have a period, [`planned`]
+//! says when they end.
 
-use super::{Config, ConfigSpec, Inputs, Outputs, State};
+use super::planned::{self, Foretold};
+use super::rotor::{COUNT, FARTHEST, FASTEST, FINE};
+use super::{Config, Inputs, Outputs, State};
 use crate::Direction;
-use serde::{Deserialize, Serialize};
 
-/// A count, to 2^[`FINE`].
-const COUNT: i32 = 1 << FINE;
-const FINE: u32 = 20;
-/// Fastest rotor, 8 counts a tick: twice that still leaves room for the product with an edge's age.
-const FASTEST: i32 = 8 * COUNT;
-/// Longest delay, ticks: 4 ms at 500 µs. A motor farther behind is not led by pulses.
-const LONGEST_DELAY: u8 = 8;
-/// Longest pulse that may be asked for, ticks.
-const LONGEST_PULSE: u8 = 40;
 /// An overshoot by so many ticks of full drive is left to the target to catch up with: a shortest pulse the other way, and what
 /// the rotor runs on after it, would turn by as much.
 const REVERSES_TICKS: i32 = 4;
-/// Errors beyond this are counted so far only, counts.
-const FARTHEST: i32 = 512;
-
-/// What the controller is told of its motor, per tick.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Model {
-    /// Speed at full drive.
-    full: i32,
-    /// What the speed loses in a tick with the drive off.
-    braking: i32,
-}
-
-impl Model {
-    /// The model of a configuration; `None` where it leaves what 32 bits hold.
-    pub(super) fn of(spec: &ConfigSpec) -> Option<Self> {
-        let period = u64::from(spec.period_us);
-        let full = ((u64::from(spec.full_speed_counts_s) * period) << FINE) / 1_000_000;
-        // A period is at most 10 000 µs: in this order both products fit.
-        let braking = ((u64::from(spec.braking_counts_s2) * period * period / 1_000_000) << FINE) / 1_000_000;
-        let inside = (1 << 12..=FASTEST as u64).contains(&full) && (1 << 5..=full).contains(&braking);
-        let inside = inside
-            && spec.delay_ticks <= LONGEST_DELAY
-            && (1..=LONGEST_PULSE).contains(&spec.shortest_pulse_ticks)
-            && spec.reversal_rest_ticks > 0;
-        inside.then_some(Self { full: full as i32, braking: braking as i32 })
-    }
-
-    /// A speed at full drive as far as it may differ from the one told: by what motors, temperature, runout and load make of it.
-    fn about(&self, full: i32) -> i32 {
-        full.max(self.full / 2).min(self.full / 5 * 8)
-    }
-
-    /// A braking likewise: up to a rotor that stands at once, but not down to one that nothing brakes, whose way is not to be
-    /// foretold.
-    fn braked(&self, braking: i32) -> i32 {
-        braking.max(self.braking / 2).min(self.full)
-    }
-}
-
-/// Where the controller believes the rotor to be, and how the motor is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Rotor {
-    /// Count at the last tick.
-    pub count: i32,
-    /// Place past that count's edge, 2^-20 count.
-    pub place: i32,
-    /// Speed, 2^-20 count a tick.
-    pub speed: i32,
-    /// Speed at full drive, clockwise; zero before the first tick.
-    pub full_cw: i32,
-    /// Speed at full drive, counter-clockwise.
-    pub full_ccw: i32,
-    /// What the speed loses in a tick with the drive off.
-    pub braking: i32,
-    /// Drive on, decided so many ticks ago: bit by bit, the last tick's the lowest.
-    pub on: u16,
-    /// Clockwise, likewise.
-    pub cw: u16,
-    /// Ticks since the drive was last switched, up to the longest pulse.
-    pub held: u8,
-}
-
-impl Rotor {
-    /// Nothing seen yet: anywhere within its count.
-    pub const REST: Self =
-        Self { count: 0, place: COUNT / 2, speed: 0, full_cw: 0, full_ccw: 0, braking: 0, on: 0, cw: 0, held: u8::MAX };
-
-    /// Drive decided `ago` ticks before: +1, 0 or -1.
-    fn drive(&self, ago: u8) -> i32 {
-        match ((self.on >> ago) & 1, (self.cw >> ago) & 1) {
-            (0, _) => 0,
-            (_, 0) => -1,
-            _ => 1,
-        }
-    }
-
-    /// Place and speed after a tick in which the drive is that of `ago` ticks before. The wave, and the rotor with it, comes
-    /// up to 5/8 of what is missing in a tick, and takes a quarter of the speed back as it dies: the averaged model's own
-    /// course, at 500 µs. After that the rotor is braked by a constant friction.
-    #[inline(always)]
-    fn advanced(&self, place: i32, speed: i32, ago: u8) -> (i32, i32) {
-        let next = match (self.drive(ago), self.drive(ago + 1)) {
-            (0, before) => {
-                let left = if before != 0 { speed - speed / 4 } else { speed };
-                if left > 0 { (left - self.braking).max(0) } else { (left + self.braking).min(0) }
-            }
-            (on, _) => {
-                let wanted = if on > 0 { self.full_cw } else { -self.full_ccw };
-                speed + (wanted - speed) / 8 * 5
-            }
-        };
-        (place + (speed + next) / 2, next)
-    }
-
-    /// A tick later: what the model says, put right by the edges there were.
-    #[inline(always)]
-    fn sees(&mut self, config: &Config, inputs: &Inputs) {
-        let model = &config.model;
-        if self.full_cw == 0 {
-            (self.full_cw, self.full_ccw, self.braking) = (model.full, model.full, model.braking);
-            self.count = inputs.position;
-        }
-        // A state that was recorded may be anything.
-        self.place = self.place.clamp(0, COUNT);
-        self.speed = self.speed.clamp(-2 * FASTEST + 1, 2 * FASTEST - 1);
-        (self.full_cw, self.full_ccw) = (model.about(self.full_cw), model.about(self.full_ccw));
-        self.braking = model.braked(self.braking);
-        let delay = config.spec.delay_ticks;
-        let drive = self.drive(delay);
-        (self.place, self.speed) = self.advanced(self.place, self.speed, delay);
-
-        let edges = inputs.position.wrapping_sub(self.count);
-        self.count = inputs.position;
-        if edges != 0 {
-            let edge = if edges > 0 { 0 } else { COUNT };
-            // In 256ths of a tick, without a sign: a division of signed numbers might overflow.
-            let period_us = config.spec.period_us.max(1);
-            let age = ((u32::from(inputs.edge_age_us).min(period_us) << 8) / period_us) as i32;
-            let since = (self.speed >> 8) * age;
-            if edges.unsigned_abs() <= FARTHEST.unsigned_abs() {
-                self.learns(model, drive, edge + edges * COUNT - (self.place - since));
-            }
-            self.place = edge + since;
-        }
-        // No edge is an answer too: the rotor is still within its count.
-        let inside = self.place.clamp(0, COUNT);
-        let short = inside - self.place;
-        if short != 0 {
-            self.place = inside;
-            if (short < 0) == (self.speed > 0) {
-                self.speed -= self.speed / 8;
-                self.learns(model, drive, short);
-            }
-        }
-    }
-
-    /// Corrects what the rotor's last stretch depended on: by `error`, how much farther it is than foretold.
-    #[inline(always)]
-    fn learns(&mut self, model: &Model, drive: i32, error: i32) {
-        // A jump by more is no motion of this rotor: a count's worth at the encoder it is meant for.
-        let error = error.max(-8 * model.full).min(8 * model.full);
-        match drive {
-            // With a time constant of 512 ticks of drive: long against the encoder's unevenness, short against a turn.
-            1 => self.full_cw = model.about(self.full_cw + error / 512),
-            -1 => self.full_ccw = model.about(self.full_ccw - error / 512),
-            _ => {
-                // The same share of the braking for each tick of full drive that the rotor went too far, or not far enough.
-                let ticks = error.unsigned_abs() / (model.full.unsigned_abs() / 64).max(1);
-                let share = ((u64::from(self.braking.unsigned_abs()) * u64::from(ticks)) >> 12) as i32;
-                let brakes_less = (error > 0) == (self.speed > 0);
-                self.braking = model.braked(self.braking + if brakes_less { -share } else { share });
-            }
-        }
-    }
-
-    /// How far the rotor goes on before it has come to the speed `rate`, relative to what moves at that rate.
-    #[inline(always)]
-    fn runs_on(&self, speed: i32, rate: i32) -> i32 {
-        let left = if self.on & 1 == 1 { speed - speed / 4 } else { speed };
-        let over = (left - rate).clamp(-2 * FASTEST + 1, 2 * FASTEST - 1);
-        // Speed squared over twice the braking, in 32 bits: 2·(20 - 9) bits over 20 - 4, and what is missing to 20 less the half.
-        let square = (over.unsigned_abs() >> 9).pow(2);
-        let way = ((square / (self.braking.unsigned_abs() >> 4).max(1)).min(1 << 14) << 13) as i32;
-        if over < 0 { -way } else { way }
-    }
-}
-
 /// One tick of a controller that gates the drive.
 #[inline(always)]
 pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outputs {
@@ -214,20 +37,30 @@ pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outp
     let was_on = rotor.on & 1 == 1;
     let mut on = if rotor.held < spec.shortest_pulse_ticks {
         was_on
+    } else if spec.has_pulse_period() {
+        planned::wants(config, rotor, &Foretold::along(state.direction, place - target, speed, rate))
     } else if was_on {
         along >= -config.model.full / 2
     } else {
         along > config.model.full / 2
     };
     if !on {
-        let may = state.reversal.waits(spec, inputs.position);
-        if along < -REVERSES_TICKS * config.model.full && may && !was_on && rotor.held >= spec.shortest_pulse_ticks {
+        let may = state.reversal.waits(spec, inputs.position)
+            && !was_on
+            && rotor.held >= spec.shortest_pulse_ticks
+            && (!spec.has_pulse_period() || rotor.since >= spec.pulse_period_ticks);
+        if along < -REVERSES_TICKS * config.model.full && may {
             state.direction = state.direction.opposite();
             on = true;
         }
     }
     if on {
         state.reversal.drives(spec, inputs.position);
+    }
+    if spec.has_pulse_period() {
+        // A pulse that goes on over the end of its period begins another.
+        let begins = on && (!was_on || rotor.since >= spec.pulse_period_ticks);
+        rotor.since = if begins { 1 } else { rotor.since.saturating_add(1) };
     }
     rotor.held = if on == was_on { rotor.held.saturating_add(1) } else { 1 };
     rotor.on = (rotor.on << 1) | u16::from(on);
@@ -240,7 +73,7 @@ pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outp
 #[cfg(test)]
 mod tests {
     extern crate std;
-    use super::super::step;
+    use super::super::{Config, ConfigSpec, Rotor, step};
     use super::*;
     use proptest::prelude::*;
     use std::vec::Vec;
@@ -322,6 +155,15 @@ mod tests {
         assert!((state.rotor.place..state.rotor.place + 1).contains(&state.rotor.place));
     }
 
+    /// Fails when the plan of a period is off: where its last place is to be, what the rotor runs on, or when a period is over.
+    #[test]
+    fn one_pulse_a_period_follows_within_a_third_of_a_count() {
+        let (error, _) = follows(ConfigSpec::PLANNED, Motor::new(234.0, 16_400.0), 1, 10);
+        assert!(error < 0.25, "{error}");
+        let (clamped, _) = follows(ConfigSpec::PLANNED, Motor::new(234.0, 1e6), 1, 10);
+        assert!(clamped < 0.30, "{clamped}");
+    }
+
     /// Fails when nothing is learnt of the motor, or what is learnt has the wrong sign.
     #[test]
     fn a_rotor_that_is_not_the_one_told_is_learnt() {
@@ -360,7 +202,7 @@ mod tests {
             change(&mut spec);
             Config::try_from(spec).map(|_| ())
         };
-        let changes: [fn(&mut ConfigSpec); 8] = [
+        let changes: [fn(&mut ConfigSpec); 10] = [
             |s| s.full_speed_counts_s = 0,
             |s| s.full_speed_counts_s = 16_001,
             |s| s.braking_counts_s2 = 0,
@@ -368,6 +210,8 @@ mod tests {
             |s| s.delay_ticks = 9,
             |s| s.shortest_pulse_ticks = 0,
             |s| s.shortest_pulse_ticks = 41,
+            |s| s.pulse_period_ticks = 0,
+            |s| s.pulse_period_ticks = 41,
             |s| s.reversal_rest_ticks = 0,
         ];
         for change in changes {
@@ -378,23 +222,25 @@ mod tests {
 
     proptest! {
         /// Fails if any operation can overflow (debug assertions are on), whatever a recording says the state was; if a pulse is
-        /// shorter than the driver board follows; or if the direction changes with the drive on.
+        /// shorter than the driver board follows, or begins before its period; or if the direction changes with the drive on.
         #[test]
         fn no_state_and_no_input_overflows(
-            full in 1u16..=16_000, braking in 1u32..2_000_000, delay in 0u8..=8, pulse in 1u8..=40,
-            any in any::<[i32; 6]>(), bits in any::<[u16; 2]>(), held in any::<u8>(),
+            full in 1u16..=16_000, braking in 1u32..2_000_000, delay in 0u8..=8, pulse in 1u8..=40, period in 1u8..=40,
+            any in any::<[i32; 8]>(), bits in any::<[u16; 2]>(), held in any::<[u8; 2]>(),
             ticks in proptest::collection::vec((any::<i32>(), any::<i32>(), -3i32..=3, any::<i8>(), any::<u16>(), 0u8..20), 1..200),
         ) {
             let spec = ConfigSpec {
                 full_speed_counts_s: full, braking_counts_s2: braking, delay_ticks: delay, shortest_pulse_ticks: pulse,
-                ..ConfigSpec::GATED
+                pulse_period_ticks: period, ..ConfigSpec::GATED
             };
             let Ok(config) = Config::try_from(spec) else { return Ok(()) };
-            let [count, place, speed, full_cw, full_ccw, braking] = any;
-            let rotor = Rotor { count, place, speed, full_cw, full_ccw, braking, on: bits[0], cw: bits[1], held };
+            let [count, place, speed, full_cw, full_ccw, braking, driven, coasted] = any;
+            let ([on, cw], [held, since]) = (bits, held);
+            let rotor = Rotor { count, place, speed, full_cw, full_ccw, braking, on, cw, held, since, driven, coasted };
             let mut state = State { rotor, ..State::REST };
             let (mut position, mut last, mut run) = (count, state.rotor.on & 1 == 1, u32::from(held));
             let mut pin = state.direction;
+            let mut began = u32::from(since);
             for (target, target_rate, move_by, target_fraction, edge_age_us, jump) in ticks {
                 position = if jump == 0 { target } else { position.wrapping_add(move_by) };
                 let out = step(&config, &mut state, Inputs { target, target_rate, position, target_fraction, edge_age_us });
@@ -404,6 +250,11 @@ mod tests {
                 prop_assert!(config.model.braked(state.rotor.braking) == state.rotor.braking);
                 let on = out.on_steps > 0;
                 prop_assert!(out.direction == pin || (on && !last), "the pin changes with the pulse, from rest");
+                if on && !last {
+                    prop_assert!(period == 1 || began >= u32::from(period), "{began} ticks");
+                    began = 0;
+                }
+                began += 1;
                 if on != last {
                     prop_assert!(run >= u32::from(pulse), "{run} ticks");
                     run = 0;

@@ -104,13 +104,14 @@ fn any_control() -> impl Strategy<Value = ConfigSpec> {
 /// Drives gated by a model of the rotor that need not be this one's, at the periods that a PWM has.
 fn any_gated() -> impl Strategy<Value = ConfigSpec> {
     let period_us = prop_oneof![Just(500u32), Just(1_000), Just(2_000)];
-    let model = (1u16..2_000, 1u32..4_000_000, 0u8..=8, 1u8..=40);
-    (model, period_us, 1u16..200).prop_map(|((full, braking, delay, pulse), period_us, reversal)| ConfigSpec {
+    let model = (1u16..2_000, 1u32..4_000_000, 0u8..=8, 1u8..=40, prop_oneof![Just(1u8), 1u8..=40]);
+    (model, period_us, 1u16..200).prop_map(|((full, braking, delay, pulse, between), period_us, reversal)| ConfigSpec {
         period_us,
         full_speed_counts_s: full,
         braking_counts_s2: braking,
         delay_ticks: delay,
         shortest_pulse_ticks: pulse,
+        pulse_period_ticks: between,
         reversal_rest_ticks: reversal,
         reversal_limit_ticks: 2 * reversal,
         ..ConfigSpec::GATED

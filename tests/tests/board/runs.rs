@@ -107,7 +107,9 @@ fn the_count_is_the_rotor_within_an_edge() {
 #[test]
 fn every_controller_tracks_the_thesis_sine() {
     // Of whole counts, of which a rotor that followed exactly would be off by half of one.
-    for (spec, mean_bound_deg) in [(ConfigSpec::THESIS, 12.0), (ConfigSpec::DEFAULT, 2.0), (ConfigSpec::GATED, 0.6)] {
+    for (spec, mean_bound_deg) in
+        [(ConfigSpec::THESIS, 12.0), (ConfigSpec::DEFAULT, 2.0), (ConfigSpec::GATED, 0.6), (ConfigSpec::PLANNED, 0.7)]
+    {
         let mut bench = Bench::armed(twum_shared::message::Configuration::with_control(spec));
         let reference = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
         bench.session.capture(twum_shared::message::CaptureMode { bits: false, edges: false, control: true }).unwrap();

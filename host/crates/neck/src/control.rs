@@ -18,6 +18,8 @@ pub enum Named {
     Default,
     /// [`ConfigSpec::GATED`].
     Gated,
+    /// [`ConfigSpec::PLANNED`].
+    Planned,
 }
 
 impl Named {
@@ -27,6 +29,7 @@ impl Named {
             Self::Thesis => ConfigSpec::THESIS,
             Self::Default => ConfigSpec::DEFAULT,
             Self::Gated => ConfigSpec::GATED,
+            Self::Planned => ConfigSpec::PLANNED,
         }
     }
 }

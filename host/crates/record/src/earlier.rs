@@ -1,6 +1,7 @@
-//! Frames of recordings made with earlier protocol versions. The messages have only gained variants since, but for four things: in
+//! Frames of recordings made with earlier protocol versions. The messages have only gained variants since, but for five things: in
 //! version 1 what the host said had no session and no pass, until version 2 a configuration did not say how slow a motor may be,
-//! until version 3 no controller waited with a reversal, and until version 4 none had a model of its rotor.
+//! until version 3 no controller waited with a reversal, until version 4 none had a model of its rotor, and until version 5 none made
+//! one pulse a period.
 
 use fixed::types::{I16F48, I32F32};
 use serde::Deserialize;
@@ -10,21 +11,12 @@ use twum_shared::frame::{self, FrameError, Header, Opened, PROTOCOL_VERSION};
 use twum_shared::message::{BLOCK_SAMPLES, ControlBlock, ControlSample};
 use twum_shared::message::{CaptureMode, Configuration, DeviceMessage, HostMessage, Pass, SpeedRun, TrackRun};
 use twum_shared::safety::Limits;
-use twum_shared::step::{ConfigSpec, DriveLaw, Reversal, State};
+use twum_shared::step::{ConfigSpec, DriveLaw, Reversal, Rotor, State};
 
 /// A message that recordings hold.
 pub(super) trait Recorded: frame::Message {
-    /// The message of a frame of version 1.
-    fn from_version_1(frame: &Opened<'_>) -> Option<Self>;
-
-    /// The message of a frame of version 2.
-    fn from_version_2(frame: &Opened<'_>) -> Option<Self>;
-
-    /// The message of a frame of version 3.
-    fn from_version_3(frame: &Opened<'_>) -> Option<Self>;
-
-    /// The message of a frame of version 4.
-    fn from_version_4(frame: &Opened<'_>) -> Option<Self>;
+    /// The message of a frame of an earlier version.
+    fn earlier(version: u8, frame: &Opened<'_>) -> Option<Self>;
 }
 
 /// Place of [`DeviceMessage::Configured`], of [`DeviceMessage::Control`] and of [`HostMessage::Configure`] among their variants.
@@ -32,57 +24,37 @@ const CONFIGURED: u8 = 3;
 const CONTROL: u8 = 9;
 const CONFIGURE: u8 = 2;
 
+/// What a variant held then, as what it holds now.
+fn held<'a, Then: Deserialize<'a> + Into<Now>, Now>(frame: &'a Opened<'_>) -> Option<Now> {
+    frame.message().map(|(_, then): (u8, Then)| then.into())
+}
+
+fn configuration(version: u8, frame: &Opened<'_>) -> Option<Configuration> {
+    match version {
+        1 | 2 => held::<Configuration2, _>(frame),
+        3 => held::<Configuration3, _>(frame),
+        4 => held::<Configuration4, _>(frame),
+        _ => held::<Configuration5, _>(frame),
+    }
+}
+
 impl Recorded for DeviceMessage {
-    fn from_version_1(frame: &Opened<'_>) -> Option<Self> {
-        Self::from_version_2(frame)
-    }
-
-    fn from_version_2(frame: &Opened<'_>) -> Option<Self> {
-        match frame.body.first() {
-            Some(&CONFIGURED) => frame.message().map(|(_, old): (u8, Configuration2)| Self::Configured(old.into())),
-            _ => Self::from_version_3(frame),
-        }
-    }
-
-    fn from_version_3(frame: &Opened<'_>) -> Option<Self> {
-        match frame.body.first() {
-            Some(&CONFIGURED) => frame.message().map(|(_, old): (u8, Configuration3)| Self::Configured(old.into())),
-            Some(&CONTROL) => frame.message().map(|(_, old): (u8, ControlBlock3)| Self::Control(old.into())),
-            _ => Self::from_version_4(frame),
-        }
-    }
-
-    fn from_version_4(frame: &Opened<'_>) -> Option<Self> {
-        match frame.body.first() {
-            Some(&CONFIGURED) => frame.message().map(|(_, old): (u8, Configuration4)| Self::Configured(old.into())),
-            Some(&CONTROL) => frame.message().map(|(_, old): (u8, ControlBlock4)| Self::Control(old.into())),
+    fn earlier(version: u8, frame: &Opened<'_>) -> Option<Self> {
+        match (frame.body.first(), version) {
+            (Some(&CONFIGURED), _) => configuration(version, frame).map(Self::Configured),
+            (Some(&CONTROL), 1..=3) => held::<ControlBlock3, _>(frame).map(Self::Control),
+            (Some(&CONTROL), 4) => held::<ControlBlock4, _>(frame).map(Self::Control),
+            (Some(&CONTROL), _) => held::<ControlBlock5, _>(frame).map(Self::Control),
             _ => frame.message(),
         }
     }
 }
 
 impl Recorded for HostMessage {
-    fn from_version_1(frame: &Opened<'_>) -> Option<Self> {
-        frame.message::<HostMessage1>().map(Into::into)
-    }
-
-    fn from_version_2(frame: &Opened<'_>) -> Option<Self> {
-        match frame.body.first() {
-            Some(&CONFIGURE) => frame.message().map(|(_, old): (u8, Configuration2)| Self::Configure(old.into())),
-            _ => Self::from_version_3(frame),
-        }
-    }
-
-    fn from_version_3(frame: &Opened<'_>) -> Option<Self> {
-        match frame.body.first() {
-            Some(&CONFIGURE) => frame.message().map(|(_, old): (u8, Configuration3)| Self::Configure(old.into())),
-            _ => Self::from_version_4(frame),
-        }
-    }
-
-    fn from_version_4(frame: &Opened<'_>) -> Option<Self> {
-        match frame.body.first() {
-            Some(&CONFIGURE) => frame.message().map(|(_, old): (u8, Configuration4)| Self::Configure(old.into())),
+    fn earlier(version: u8, frame: &Opened<'_>) -> Option<Self> {
+        match (frame.body.first(), version) {
+            (_, 1) => frame.message::<HostMessage1>().map(Into::into),
+            (Some(&CONFIGURE), _) => configuration(version, frame).map(Self::Configure),
             _ => frame.message(),
         }
     }
@@ -98,11 +70,8 @@ pub(super) fn decode<M: Recorded>(block: &mut [u8]) -> Result<(Header, M), Frame
         return Err(FrameError::Kind(opened.kind));
     }
     let message = match opened.version {
-        1 => M::from_version_1(&opened),
-        2 => M::from_version_2(&opened),
-        3 => M::from_version_3(&opened),
-        4 => M::from_version_4(&opened),
         PROTOCOL_VERSION => opened.message(),
+        version if (1..PROTOCOL_VERSION).contains(&version) => M::earlier(version, &opened),
         other => return Err(FrameError::Version(other)),
     };
     message.map(|message| (opened.header, message)).ok_or(FrameError::Message)
@@ -156,11 +125,31 @@ struct Earlier<C, L> {
 type Configuration2 = Earlier<ConfigSpec3, Limits2>;
 type Configuration3 = Earlier<ConfigSpec3, Limits>;
 type Configuration4 = Earlier<ConfigSpec4, Limits>;
+type Configuration5 = Earlier<ConfigSpec5, Limits>;
 
 impl<C: Into<ConfigSpec>, L: Into<Limits>> From<Earlier<C, L>> for Configuration {
     fn from(old: Earlier<C, L>) -> Self {
         let Earlier { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
         Self { control: control.into(), limits: limits.into(), count_sign, edges_per_rev, pwm_hz }
+    }
+}
+
+/// A controller of version 5: a gated drive made a pulse whenever it had to.
+#[derive(Deserialize)]
+struct ConfigSpec5 {
+    before: ConfigSpec4,
+    full_speed_counts_s: u16,
+    braking_counts_s2: u32,
+    delay_ticks: u8,
+    shortest_pulse_ticks: u8,
+}
+
+impl From<ConfigSpec5> for ConfigSpec {
+    fn from(old: ConfigSpec5) -> Self {
+        let ConfigSpec5 { before, full_speed_counts_s, braking_counts_s2, delay_ticks, shortest_pulse_ticks } = old;
+        let before = Self::from(before);
+        let pulse_period_ticks = u8::from(before.law == DriveLaw::Gated);
+        Self { full_speed_counts_s, braking_counts_s2, delay_ticks, shortest_pulse_ticks, pulse_period_ticks, ..before }
     }
 }
 
@@ -215,24 +204,26 @@ impl From<ConfigSpec3> for ConfigSpec {
             braking_counts_s2: 0,
             delay_ticks: 0,
             shortest_pulse_ticks: 0,
+            pulse_period_ticks: 0,
         }
     }
 }
 
 /// Control ticks with an earlier state.
 #[derive(Deserialize)]
-struct EarlierBlock<S> {
+struct EarlierBlock<S, T> {
     first_tick: u64,
     first_us: u64,
     state: S,
-    samples: heapless::Vec<ControlSample4, BLOCK_SAMPLES>,
+    samples: heapless::Vec<T, BLOCK_SAMPLES>,
 }
 
-type ControlBlock3 = EarlierBlock<State3>;
-type ControlBlock4 = EarlierBlock<State4>;
+type ControlBlock3 = EarlierBlock<State3, ControlSample4>;
+type ControlBlock4 = EarlierBlock<State4, ControlSample4>;
+type ControlBlock5 = EarlierBlock<State5, ControlSample>;
 
-impl<S: Into<State>> From<EarlierBlock<S>> for ControlBlock {
-    fn from(old: EarlierBlock<S>) -> Self {
+impl<S: Into<State>, T: Into<ControlSample>> From<EarlierBlock<S, T>> for ControlBlock {
+    fn from(old: EarlierBlock<S, T>) -> Self {
         let EarlierBlock { first_tick, first_us, state, samples } = old;
         Self { first_tick, first_us, state: state.into(), samples: samples.into_iter().map(Into::into).collect() }
     }
@@ -260,6 +251,34 @@ struct State4 {
 impl From<State4> for State {
     fn from(State4 { before, reversal }: State4) -> Self {
         Self { reversal, ..before.into() }
+    }
+}
+
+#[derive(Deserialize)]
+struct State5 {
+    before: State4,
+    rotor: Rotor5,
+}
+
+/// What a gated drive of version 5 believed.
+#[derive(Deserialize)]
+struct Rotor5 {
+    count: i32,
+    place: i32,
+    speed: i32,
+    full_cw: i32,
+    full_ccw: i32,
+    braking: i32,
+    on: u16,
+    cw: u16,
+    held: u8,
+}
+
+impl From<State5> for State {
+    fn from(State5 { before, rotor }: State5) -> Self {
+        let Rotor5 { count, place, speed, full_cw, full_ccw, braking, on, cw, held } = rotor;
+        let rotor = Rotor { count, place, speed, full_cw, full_ccw, braking, on, cw, held, ..Rotor::REST };
+        Self { rotor, ..before.into() }
     }
 }
 

@@ -101,7 +101,9 @@ impl Rig {
         let trace = run(&program, &mut plant, &effects)?;
         let swing_deg = swing_deg(&trace);
         let count_deg = 360.0 / edges;
-        let held_deg = 2.0 * count_deg + 0.5 * self.full_deg_s(&trace) / program.pwm_hz;
+        // Nothing is decided within a PWM period, nor between two pulses of a drive that makes one in so many ticks.
+        let pulses_s = f64::from(spec.pulse_period_ticks) * f64::from(spec.period_us) * 1e-6;
+        let held_deg = 2.0 * count_deg + 0.5 * self.full_deg_s(&trace) * pulses_s.max(1.0 / program.pwm_hz);
         Ok((swing_deg > held_deg).then_some(Swings { swing_deg, held_deg }))
     }
 

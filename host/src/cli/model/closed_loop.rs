@@ -25,7 +25,7 @@ use twum_shared::step::{Config, ConfigSpec};
 pub struct Args {
     #[command(flatten)]
     common: Common,
-    /// Controller: `thesis`, `default`, `gated`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains
+    /// Controller: `thesis`, `default`, `gated`, `planned`, or a TOML file: its `[control]` as `twum config dump` writes it, or gains
     #[arg(long, default_value = "thesis")]
     control: String,
     /// Amplitude of the sine (counts)

@@ -20,7 +20,7 @@ pub struct Args {
     /// A shipped motor, or a motor file
     #[arg(long, default_value = "pcbmotor-30mm")]
     motor: String,
-    /// Controller: `thesis`, `default`, `gated`, or a TOML file as for `twum track`; repeatable. A PWM frequency of its own: NAME@HZ
+    /// Controller: `thesis`, `default`, `gated`, `planned`, or a TOML file as for `twum track`; repeatable. A PWM frequency of its own: NAME@HZ
     #[arg(long, default_values = ["thesis", "default"], value_name = "CONTROLLER")]
     control: Vec<String>,
     /// PWM frequency (Hz) [default: the controller's: 50, or one period a tick for a drive that is gated]

@@ -163,6 +163,7 @@ impl Report {
                 Named::Thesis => "thesis",
                 Named::Default => "default",
                 Named::Gated => "gated",
+                Named::Planned => "planned",
             },
             s.edges_per_rev,
             s.pwm_hz,

@@ -1,0 +1,226 @@
+//! What a drive that is gated believes of its motor: where the rotor is between two edges, and how it comes up and runs on.
+//!
+//! Angles are in 2^-20 count, speeds in that a tick; all fits 32 bits, for the speeds that [`Model::of`] lets pass. What is
+//! decided is measured by what full drive turns in a tick, so that it does not depend on the encoder.
+
+use super::{Config, ConfigSpec, Inputs};
+use serde::{Deserialize, Serialize};
+
+/// A count, to 2^[`FINE`].
+pub(super) const COUNT: i32 = 1 << FINE;
+pub(super) const FINE: u32 = 20;
+/// Fastest rotor, 8 counts a tick: twice that still leaves room for the product with an edge's age.
+pub(super) const FASTEST: i32 = 8 * COUNT;
+/// Longest delay, ticks: 4 ms at 500 µs. A motor farther behind is not led by pulses.
+const LONGEST_DELAY: u8 = 8;
+/// Longest pulse, and longest time from one pulse to the next, that may be asked for, ticks: 20 ms at 500 µs.
+const LONGEST_PULSE: u8 = 40;
+/// Errors beyond this are counted so far only, counts.
+pub(super) const FARTHEST: i32 = 512;
+
+/// What the controller is told of its motor, per tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Model {
+    /// Speed at full drive.
+    pub(super) full: i32,
+    /// What the speed loses in a tick with the drive off.
+    braking: i32,
+}
+
+impl Model {
+    /// The model of a configuration; `None` where it leaves what 32 bits hold.
+    pub(super) fn of(spec: &ConfigSpec) -> Option<Self> {
+        let period = u64::from(spec.period_us);
+        let full = ((u64::from(spec.full_speed_counts_s) * period) << FINE) / 1_000_000;
+        // A period is at most 10 000 µs: in this order both products fit.
+        let braking = ((u64::from(spec.braking_counts_s2) * period * period / 1_000_000) << FINE) / 1_000_000;
+        let inside = (1 << 12..=FASTEST as u64).contains(&full) && (1 << 5..=full).contains(&braking);
+        let inside = inside
+            && spec.delay_ticks <= LONGEST_DELAY
+            && (1..=LONGEST_PULSE).contains(&spec.shortest_pulse_ticks)
+            && (1..=LONGEST_PULSE).contains(&spec.pulse_period_ticks)
+            && spec.reversal_rest_ticks > 0;
+        inside.then_some(Self { full: full as i32, braking: braking as i32 })
+    }
+
+    /// A speed at full drive as far as it may differ from the one told: by what motors, temperature, runout and load make of it.
+    pub(super) fn about(&self, full: i32) -> i32 {
+        full.max(self.full / 2).min(self.full / 5 * 8)
+    }
+
+    /// A braking likewise: up to a rotor that stands at once, but not down to one that nothing brakes, whose way is not to be
+    /// foretold.
+    pub(super) fn braked(&self, braking: i32) -> i32 {
+        braking.max(self.braking / 2).min(self.full)
+    }
+}
+
+/// Where the controller believes the rotor to be, and how the motor is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Rotor {
+    /// Count at the last tick.
+    pub count: i32,
+    /// Place past that count's edge, 2^-20 count.
+    pub place: i32,
+    /// Speed, 2^-20 count a tick.
+    pub speed: i32,
+    /// Speed at full drive, clockwise; zero before the first tick.
+    pub full_cw: i32,
+    /// Speed at full drive, counter-clockwise.
+    pub full_ccw: i32,
+    /// What the speed loses in a tick with the drive off.
+    pub braking: i32,
+    /// Drive on, decided so many ticks ago: bit by bit, the last tick's the lowest.
+    pub on: u16,
+    /// Clockwise, likewise.
+    pub cw: u16,
+    /// Ticks since the drive was last switched, up to the longest pulse.
+    pub held: u8,
+    /// Ticks since the last pulse began, where pulses have a period.
+    pub since: u8,
+    /// How far the rotor went since the last edge with the drive on, 2^-20 count, where pulses have a period.
+    pub driven: i32,
+    /// How far with the drive off.
+    pub coasted: i32,
+}
+
+impl Rotor {
+    /// Nothing seen yet: anywhere within its count.
+    pub const REST: Self = Self {
+        count: 0,
+        place: COUNT / 2,
+        speed: 0,
+        full_cw: 0,
+        full_ccw: 0,
+        braking: 0,
+        on: 0,
+        cw: 0,
+        held: u8::MAX,
+        since: u8::MAX,
+        driven: 0,
+        coasted: 0,
+    };
+
+    /// Drive decided `ago` ticks before: +1, 0 or -1.
+    fn drive(&self, ago: u8) -> i32 {
+        match ((self.on >> ago) & 1, (self.cw >> ago) & 1) {
+            (0, _) => 0,
+            (_, 0) => -1,
+            _ => 1,
+        }
+    }
+
+    /// Place and speed after a tick in which the drive is that of `ago` ticks before. The wave, and the rotor with it, comes
+    /// up to 5/8 of what is missing in a tick, and takes a quarter of the speed back as it dies: the averaged model's own
+    /// course, at 500 µs. After that the rotor is braked by a constant friction.
+    #[inline(always)]
+    pub(super) fn advanced(&self, place: i32, speed: i32, ago: u8) -> (i32, i32) {
+        let next = match (self.drive(ago), self.drive(ago + 1)) {
+            (0, before) => {
+                let left = if before != 0 { speed - speed / 4 } else { speed };
+                if left > 0 { (left - self.braking).max(0) } else { (left + self.braking).min(0) }
+            }
+            (on, _) => {
+                let wanted = if on > 0 { self.full_cw } else { -self.full_ccw };
+                speed + (wanted - speed) / 8 * 5
+            }
+        };
+        (place + (speed + next) / 2, next)
+    }
+
+    /// A tick later: what the model says, put right by the edges there were.
+    #[inline(always)]
+    pub(super) fn sees(&mut self, config: &Config, inputs: &Inputs) {
+        let model = &config.model;
+        if self.full_cw == 0 {
+            (self.full_cw, self.full_ccw, self.braking) = (model.full, model.full, model.braking);
+            self.count = inputs.position;
+        }
+        // A state that was recorded may be anything.
+        self.place = self.place.clamp(0, COUNT);
+        self.speed = self.speed.clamp(-2 * FASTEST + 1, 2 * FASTEST - 1);
+        (self.full_cw, self.full_ccw) = (model.about(self.full_cw), model.about(self.full_ccw));
+        self.braking = model.braked(self.braking);
+        let delay = config.spec.delay_ticks;
+        let drive = self.drive(delay);
+        let before = self.place;
+        (self.place, self.speed) = self.advanced(self.place, self.speed, delay);
+        if config.spec.has_pulse_period() {
+            let way = if drive == 0 { &mut self.coasted } else { &mut self.driven };
+            *way = way.saturating_add((self.place - before).saturating_abs());
+        }
+
+        let edges = inputs.position.wrapping_sub(self.count);
+        self.count = inputs.position;
+        if edges != 0 {
+            let edge = if edges > 0 { 0 } else { COUNT };
+            // In 256ths of a tick, without a sign: a division of signed numbers might overflow.
+            let period_us = config.spec.period_us.max(1);
+            let age = ((u32::from(inputs.edge_age_us).min(period_us) << 8) / period_us) as i32;
+            let since = (self.speed >> 8) * age;
+            if edges.unsigned_abs() <= FARTHEST.unsigned_abs() {
+                let error = edge + edges * COUNT - (self.place - since);
+                if config.spec.has_pulse_period() {
+                    self.learns_by_way(model, delay, error);
+                } else {
+                    self.learns(model, drive, error);
+                }
+            }
+            self.place = edge + since;
+        }
+        // No edge is an answer too: the rotor is still within its count.
+        let inside = self.place.clamp(0, COUNT);
+        let short = inside - self.place;
+        if short != 0 {
+            self.place = inside;
+            if (short < 0) == (self.speed > 0) {
+                self.speed -= self.speed / 8;
+                self.learns(model, drive, short);
+            }
+        }
+    }
+
+    /// Corrects what the rotor's last stretch depended on: by `error`, how much farther it is than foretold.
+    #[inline(always)]
+    fn learns(&mut self, model: &Model, drive: i32, error: i32) {
+        // A jump by more is no motion of this rotor: a count's worth at the encoder it is meant for.
+        let error = error.max(-8 * model.full).min(8 * model.full);
+        match drive {
+            // With a time constant of 512 ticks of drive: long against the encoder's unevenness, short against a turn.
+            1 => self.full_cw = model.about(self.full_cw + error / 512),
+            -1 => self.full_ccw = model.about(self.full_ccw - error / 512),
+            _ => {
+                // The same share of the braking for each tick of full drive that the rotor went too far, or not far enough.
+                let ticks = error.unsigned_abs() / (model.full.unsigned_abs() / 64).max(1);
+                let share = ((u64::from(self.braking.unsigned_abs()) * u64::from(ticks)) >> 12) as i32;
+                let brakes_less = (error > 0) == (self.speed > 0);
+                self.braking = model.braked(self.braking + if brakes_less { -share } else { share });
+            }
+        }
+    }
+
+    /// The same where a pulse makes an edge or two: the error belongs to both, the drive and what it left, by how far the rotor
+    /// went in each. Given to the last tick's alone, what the rotor runs on too far would be taken from the speed at full drive.
+    #[inline(always)]
+    fn learns_by_way(&mut self, model: &Model, delay: u8, error: i32) {
+        // A state that was recorded may hold any.
+        let (driven, coasted) = (self.driven.max(0).unsigned_abs() >> 8, self.coasted.max(0).unsigned_abs() >> 8);
+        let of_drive = (((u64::from(driven) << 8) / u64::from((driven + coasted).max(1))) as i32).min(1 << 8);
+        let error = error.max(-8 * model.full).min(8 * model.full);
+        let while_on = (error >> 8) * of_drive;
+        self.learns(model, if (self.cw >> delay) & 1 == 1 { 1 } else { -1 }, while_on);
+        self.learns(model, 0, error - while_on);
+        (self.driven, self.coasted) = (0, 0);
+    }
+
+    /// How far the rotor goes on before it has come to the speed `rate`, relative to what moves at that rate.
+    #[inline(always)]
+    pub(super) fn runs_on(&self, speed: i32, rate: i32) -> i32 {
+        let left = if self.on & 1 == 1 { speed - speed / 4 } else { speed };
+        let over = (left - rate).clamp(-2 * FASTEST + 1, 2 * FASTEST - 1);
+        // Speed squared over twice the braking, in 32 bits: 2·(20 - 9) bits over 20 - 4, and what is missing to 20 less the half.
+        let square = (over.unsigned_abs() >> 9).pow(2);
+        let way = ((square / (self.braking.unsigned_abs() >> 4).max(1)).min(1 << 14) << 13) as i32;
+        if over < 0 { -way } else { way }
+    }
+}
