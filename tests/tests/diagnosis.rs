@@ -15,7 +15,9 @@ use twum_host::record::measurement::{Direction, Format, LevelEdge, Measurement, 
 use twum_shared::Direction as Pin;
 use twum_tests::experiment::{Design, Sealed};
 use twum_tests::hidden::Hidden;
+use twum_tests::suite::Case;
 use twum_tests::tracking::{self, HiddenInLoop};
+use twum_tests::truth::Kind;
 
 fn small() -> Design {
     Design { trials: 2, seconds: 1.5, ..Design::small() }
@@ -57,6 +59,22 @@ fn nothing_hidden_names_nothing() {
         let d = through_a_folder(&[], seed, &[]);
         assert_eq!(d.verdict, Verdict::None, "seed {seed}: {:?}", d.suspected());
     }
+}
+
+/// One of seven runs, of a motor that coasts for seconds, is slow enough to show its friction. Fails when it is scored by what the
+/// others say of it: that missed it by 66 rpm, of a motor that makes 47, and called this the noise floor.
+#[test]
+fn a_run_that_alone_shows_the_friction_is_fitted_and_not_scored() {
+    let case = Case { generator: "c".to_owned(), kind: Kind::Single, seed: 8003 };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let at = folder.path().join("data");
+    case.make().expect("it can be made").write(&at).expect("the folder can be written");
+    let measurement = Measurement::load(&at).expect("the folder can be read");
+    let d = diagnose(&[measurement], &Options::default(), &|_, _| {}).expect("it can be diagnosed").0;
+    let missed_rpm = d.baseline.scores.rmse_speed_rpm.expect("there are runs to score");
+    assert!(missed_rpm < 3.0, "{missed_rpm}");
+    let said = d.notes.iter().find(|note| note.contains("no other run shows")).expect("it is said");
+    assert!(said.contains("01-cw"), "{said}");
 }
 
 /// The averaged motor model driven for 1.2 s, its edges timed to a microsecond.

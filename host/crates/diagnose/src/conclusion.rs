@@ -49,12 +49,14 @@ pub struct Outcome {
     pub not_judged: Vec<(String, String)>,
     /// Noise floor in rpm.
     pub noise_floor: f64,
+    /// Names of the runs that alone show a parameter of the motor, and are not scored.
+    pub alone: Vec<String>,
 }
 
 /// Scores, numbers and left-overs of the sets that were visited, best first.
 pub fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcome {
-    let scorer = Scorer::new(ground, settings.seed);
     let root = visited.iter().find(|s| s.parts.is_empty()).unwrap_or(&visited[0]);
+    let scorer = Scorer::new(ground, root, settings.seed);
     let standing = Standing::of(ground, &scorer, visited, root, settings.seed);
     let best = &standing.sets[0];
     let accepted = standing.judged.accepted(&standing.sets, Set::key, |_| false).unwrap_or(root);
@@ -79,6 +81,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcom
         held_out,
         findings,
         not_judged: Vec::new(),
+        alone: scorer.alone.iter().map(|r| ground.problem.runs[*r].id.clone()).collect(),
     }
 }
 

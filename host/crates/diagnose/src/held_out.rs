@@ -19,6 +19,10 @@ pub const LEAST_RUNS: usize = 4;
 /// End of the start-up in s: of few runs it happens once or twice, and is neither fitted nor scored.
 const START_UP_S: f64 = 0.1;
 
+/// A parameter that moves by more than itself when runs are left out is one that these alone show. Beyond such a step nothing here is linear,
+/// and no error of theirs says anything.
+const LARGEST_STEP: f64 = 1.0;
+
 /// What chance can do.
 pub struct Chance {
     /// Largest improvement of any candidate in each null data set.
@@ -45,18 +49,31 @@ pub struct Scorer<'a> {
     /// Runs with equal keys repeat each other.
     pub keys: Vec<String>,
     divisions: Vec<Fold>,
+    /// Runs that alone show a parameter of the motor: they are fitted and cannot be scored.
+    pub alone: Vec<usize>,
 }
 
 impl<'a> Scorer<'a> {
-    /// Seeded divisions of the runs.
-    pub fn new(ground: &'a Ground<'a>, seed: u64) -> Self {
+    /// Seeded divisions of the runs; which can be scored is the same for every set, and decided by `root`.
+    pub fn new(ground: &'a Ground<'a>, root: &Set, seed: u64) -> Self {
         let runs = &ground.problem.runs;
         let keys: Vec<String> = runs
             .iter()
             .map(|r| format!("{:?}/{:.6}/{}/{}", r.kind, r.duty.unwrap_or(-1.0), r.direction, r.pwm_hz))
             .collect();
         let count = if runs.len() < 2 * FOLDS { runs.len() } else { FOLDS };
-        Self { ground, divisions: folds(&keys, count, seed), keys }
+        let mut scorer = Self { ground, divisions: folds(&keys, count, seed), keys, alone: Vec::new() };
+        if runs.len() >= LEAST_RUNS {
+            let (grams, free, _) = scorer.equations(root, &[]);
+            let fits = grams.fold_fits(&(0..free).collect::<Vec<_>>());
+            let far = fits.into_iter().filter(|(_, steps)| steps.iter().any(|step| step.abs() > LARGEST_STEP));
+            let alone: Vec<usize> = far.flat_map(|(fold, _)| fold.test).collect();
+            // Where most are, it is the motor that these runs do not determine, and leaving them out would hide it.
+            if 2 * alone.len() < runs.len() {
+                scorer.alone = alone;
+            }
+        }
+        scorer
     }
 
     /// Normal equations of a set with further columns, priors and noise in them, and the columns of its own parameters and pairs.
@@ -103,6 +120,9 @@ impl<'a> Scorer<'a> {
                 let chance = 2.0 * grams.variance * f;
                 held.loss[r].iter_mut().chain(&mut held.plain[r]).for_each(|error| *error += chance);
             }
+        }
+        for &r in &self.alone {
+            (held.loss[r], held.plain[r], held.seconds[r]) = ([0.0; 2], [0.0; 2], 0.0);
         }
         held
     }
@@ -154,15 +174,12 @@ impl<'a> Scorer<'a> {
         if problem.duties() < 3 || problem.runs.len() < LEAST_RUNS {
             return None;
         }
-        let mut columns = columns_of(&self.ground.free(&set.model, &set.parts));
-        let free = columns.len();
-        columns.extend(set.parts.iter().flat_map(|p| &p.phased).flat_map(|p| p.columns()));
-        let designs = problem.design(&set.model, &columns);
-        let grams = Grams::new(&designs, 0, &vec![30.0; columns.len()], Some(&self.keys), self.divisions.clone());
+        let (grams, free, _) = self.equations(set, &[]);
+        let designs = problem.design(&set.model, &columns_of(&self.ground.free(&set.model, &set.parts)));
         let own: Vec<usize> = (0..free).collect();
         let mut errors = vec![0.0; designs.len()];
         for (fold, beta) in grams.fold_fits(&own) {
-            for r in fold.test {
+            for r in fold.test.into_iter().filter(|r| !self.alone.contains(r)) {
                 let d = &designs[r];
                 let rest = |k: usize| -> f64 {
                     d.y[k] - own.iter().zip(beta.iter()).map(|(c, b)| d.x[k * d.columns + c] * b).sum::<f64>()
@@ -170,7 +187,8 @@ impl<'a> Scorer<'a> {
                 errors[r] = (0..d.y.len()).map(|k| rest(k) * d.weight[k]).sum::<f64>() / d.seconds.max(1e-12);
             }
         }
-        let speeds: Vec<f64> = problem.runs.iter().map(|r| r.mean_speed_rpm()).collect();
+        let scored = (0..errors.len()).filter(|r| !self.alone.contains(r));
+        let speeds: Vec<f64> = scored.map(|r| problem.runs[r].mean_speed_rpm()).collect();
         let mean = speeds.iter().sum::<f64>() / speeds.len() as f64;
         let total: f64 = speeds.iter().map(|s| (s - mean).powi(2)).sum();
         (total > 0.0).then(|| 1.0 - errors.iter().map(|e| e * e).sum::<f64>() / total)

@@ -183,6 +183,12 @@ pub fn diagnose(
         without: options.without.clone(),
     };
     let mut outcome = diagnose_runs(&problem, &start, &settings, progress);
+    if !outcome.alone.is_empty() {
+        notes.push(format!(
+            "{}: no other run shows what the motor does there; fitted, but not scored on runs held out: repeat it, or add a duty beside it",
+            outcome.alone.join(", ")
+        ));
+    }
     notes.extend(doubted_rates(&start, &outcome.extended.parameters));
     let tracks: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).filter(|r| r.kind == RunKind::Track).collect();
     if !tracks.is_empty() {

@@ -67,7 +67,7 @@ pub fn diagnose_runs(
     if let Some(gaps) = lost {
         let before = Ground::new(&original, home.clone(), &effects, Vec::new());
         let root = before.root(unrepaired);
-        let held = Scorer::new(&before, settings.seed).held_out(&root);
+        let held = Scorer::new(&before, &root, settings.seed).held_out(&root);
         outcome.held_out = held.against(&outcome.held_out);
         outcome.findings.insert(0, gaps.finding);
     }

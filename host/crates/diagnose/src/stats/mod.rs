@@ -56,14 +56,15 @@ pub struct HeldOut {
 }
 
 impl HeldOut {
-    /// These errors (the second of each pair) held against those of `with`: without and with what was added.
+    /// These errors (the second of each pair) held against those of `with`: without and with what was added, of the runs that both score.
     pub fn against(&self, with: &Self) -> Self {
-        let pair = |a: &[[f64; 2]], b: &[[f64; 2]]| a.iter().zip(b).map(|(a, b)| [a[1], b[1]]).collect();
-        Self {
-            loss: pair(&self.loss, &with.loss),
-            plain: pair(&self.plain, &with.plain),
-            seconds: self.seconds.clone(),
-        }
+        let scored: Vec<bool> = self.seconds.iter().zip(&with.seconds).map(|(a, b)| *a > 0.0 && *b > 0.0).collect();
+        let pair = |a: &[[f64; 2]], b: &[[f64; 2]]| {
+            let pairs = a.iter().zip(b).zip(&scored);
+            pairs.map(|((a, b), scored)| if *scored { [a[1], b[1]] } else { [0.0; 2] }).collect()
+        };
+        let seconds = self.seconds.iter().zip(&scored).map(|(seconds, scored)| if *scored { *seconds } else { 0.0 });
+        Self { loss: pair(&self.loss, &with.loss), plain: pair(&self.plain, &with.plain), seconds: seconds.collect() }
     }
 
     /// Total improvement of the deciding error.
