@@ -142,6 +142,15 @@ pub fn to_toml(configuration: &Configuration) -> String {
     text
 }
 
+/// A controller as a file, which [`controller`] reads: its table `[control]`, every key.
+pub fn control_toml(control: &ConfigSpec) -> String {
+    let mut text = "[control]\n".to_owned();
+    for (key, value) in &tables(&Configuration::with_control(*control))[1].1 {
+        let _ = writeln!(text, "{key} = {value}");
+    }
+    text
+}
+
 /// `base` with what a text says.
 ///
 /// # Errors

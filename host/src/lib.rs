@@ -20,3 +20,4 @@ pub use twum_motor as model;
 pub use twum_neck as neck;
 pub use twum_record as record;
 pub use twum_signal as signal;
+pub use twum_tune as tune;

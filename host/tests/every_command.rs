@@ -100,7 +100,7 @@ use Says::{Json, Refused, Serves, Slow, Text};
 
 /// A line of every command. `PORT` is a configured board on a pseudo-terminal, `NEW` a name that is not taken, `EXAMPLES` the folder of
 /// examples.
-const LINES: [(Says, &str); 50] = [
+const LINES: [(Says, &str); 51] = [
     (Json, "align --port sim"),
     (Json, "capture --port sim --seconds 0.2 --out NEW.mcap"),
     (Json, "compare run.mcap --flavour physical"),
@@ -150,6 +150,7 @@ const LINES: [(Says, &str); 50] = [
     (Json, "speed --port sim --duty 0.5 --seconds 0.5"),
     (Json, "stop --port sim"),
     (Json, "track --port sim --seconds 0.5"),
+    (Json, "tune --port sim --out NEW --draws 10 --seconds 0.5"),
     (Json, "velocity run.mcap"),
 ];
 

@@ -34,7 +34,7 @@ struct Mover {
     lasts_ms: u64,
 }
 
-const MOVERS: [Mover; 5] = [
+const MOVERS: [Mover; 6] = [
     Mover { name: "track", arguments: &["track", "--seconds", "2"], out: Some("a.mcap"), motion: 2, lasts_ms: 2_000 },
     Mover {
         name: "speed",
@@ -49,6 +49,13 @@ const MOVERS: [Mover; 5] = [
         out: Some("folder"),
         motion: 3,
         lasts_ms: 2_000,
+    },
+    Mover {
+        name: "tune, run 2",
+        arguments: &["tune", "--draws", "10", "--seconds", "1"],
+        out: Some("folder"),
+        motion: 3,
+        lasts_ms: 2_500,
     },
     Mover { name: "align", arguments: &["align"], out: None, motion: 1, lasts_ms: 500 },
     Mover { name: "driver", arguments: &["driver", "u2000"], out: Some("a.mcap"), motion: 1, lasts_ms: 2_000 },
@@ -234,7 +241,8 @@ fn happen(event: Event, rig: &Rig, program: &mut Program) -> u64 {
 
 /// Waits for the program's end; one that waits for its port, or is stopped, is ended.
 fn wait(event: Event, program: &mut Program) -> Option<ExitStatus> {
-    let until = Instant::now() + Duration::from_secs(20);
+    // The rest of the longest command, where nothing ends it: the other runs of a tuning, and its own arithmetic.
+    let until = Instant::now() + Duration::from_secs(90);
     let help_at = Instant::now() + Duration::from_millis(1_500);
     let mut helped = false;
     loop {

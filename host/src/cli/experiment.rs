@@ -1,26 +1,20 @@
 //! `twum experiment`.
 
 use super::configuration::ConfigurationArgs;
-use super::connect::{ALL_STREAMS, ConnectArgs, own_configuration, restore};
+use super::connect::ConnectArgs;
 use super::diagnose::{motor_of, runs_of};
 use super::output::{answer, stage};
+use super::series::Bench;
 use super::{exit, units};
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::Duration;
 use twum_host::diagnose::inertial::{InputRun, next_inputs};
 use twum_host::diagnose::plan::{PlannedRun, first_experiment, next_runs};
 use twum_host::diagnose::{Details, Options, diagnose};
-use twum_host::link::bench::{Experiment, perform};
-use twum_host::link::series::make_all;
-use twum_host::link::{Port, Session};
 use twum_host::model::parameters::Flavour;
 use twum_host::pulses;
 use twum_host::record::series::{Series, SeriesError, SeriesRun, duration_ms};
-use twum_shared::message::Configuration;
-use twum_shared::step::ConfigSpec;
 
 /// Arguments of `twum experiment`.
 #[derive(Debug, clap::Args)]
@@ -237,17 +231,12 @@ fn make(args: &RunArgs) -> Result<ExitCode> {
         eprintln!("nothing is open that another run would decide");
         return Ok(ExitCode::SUCCESS);
     };
-    args.configuration.over(Configuration::with_control(ConfigSpec::DEFAULT))?;
-    let mut session = args.connect.session()?;
-    let own = own_configuration(&mut session)?;
-    let motor = args.connect.motor(&mut session, Some(&args.configuration.over(own)?))?;
-    let series = match task {
-        Task::Begin(runs) => Series::begin(&args.out, runs)?,
-        Task::Resume(series) => series,
-    };
-    let mut used = own;
-    let result = perform_all(args, &series, &mut session, &motor, &mut used);
-    restore(&mut session, own, used);
+    let bench =
+        Bench { connect: &args.connect, configuration: &args.configuration, limited: |configuration| configuration };
+    let (series, result) = bench.make(|| match task {
+        Task::Begin(runs) => Ok(Series::begin(&args.out, runs)?),
+        Task::Resume(series) => Ok(series),
+    })?;
     let verdict = result.map(|()| 0);
     exit::decide(&verdict);
     conclude(args, &series, verdict)
@@ -283,37 +272,4 @@ fn conclude(args: &RunArgs, series: &Series, verdict: Result<u8>) -> Result<Exit
         Err(error) => return Err(error.into()),
     }
     verdict.map(ExitCode::from)
-}
-
-/// Makes the runs that are not made yet, on a board whose own configuration is `used` at first, and which it was given last
-/// afterwards.
-fn perform_all(
-    args: &RunArgs,
-    series: &Series,
-    session: &mut Session<Box<dyn Port>>,
-    motor: &str,
-    used: &mut Configuration,
-) -> Result<()> {
-    let own = *used;
-    let bar = ProgressBar::new(series.runs().len() as u64)
-        .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}").expect("the template is valid"));
-    let begins = |index: usize, run: &SeriesRun| {
-        bar.set_position(index as u64);
-        bar.set_message(run.id.clone());
-    };
-    make_all(series, begins, |run, action| {
-        session.rest(Duration::from_secs_f64(run.pause_s))?;
-        *used = Configuration { pwm_hz: run.pwm_hz.round() as u16, ..args.configuration.over(own)? };
-        let experiment = Experiment {
-            configuration: Some(*used),
-            capture: ALL_STREAMS,
-            action,
-            recording: Some(series.recording(run)),
-            motor: motor.to_owned(),
-        };
-        Ok::<_, anyhow::Error>(perform(session, &experiment, None, |_| {})?)
-    })
-    .map_err(|(id, error)| error.context(format!("run {id}")))?;
-    bar.finish_and_clear();
-    Ok(())
 }

@@ -32,12 +32,15 @@ mod pulses;
 mod reboot;
 mod replay;
 mod run;
+mod series;
 mod serve;
 mod signals;
 mod sim;
 mod speed;
 mod stop;
 mod track;
+mod tune;
+mod uncertainty;
 mod units;
 mod velocity;
 
@@ -129,6 +132,8 @@ enum Command {
     Stop(stop::Args),
     /// Track a reference in closed loop
     Track(track::Args),
+    /// Make controllers for the motor from a short run, and say what to expect of them
+    Tune(tune::Args),
     /// Estimate position and speed from encoder edges
     Velocity(velocity::Args),
 }
@@ -169,6 +174,7 @@ impl Cli {
             Command::Speed(args) => speed::run(args),
             Command::Stop(args) => stop::run(args),
             Command::Track(args) => track::run(args),
+            Command::Tune(args) => tune::run(&args),
             Command::Velocity(args) => velocity::run(args),
         }
     }

@@ -5,11 +5,12 @@ use super::flavour::FlavourArgs;
 use anyhow::{Result, bail};
 use std::path::PathBuf;
 use twum_host::model::motor::Motor;
+use twum_host::model::parameters::Flavour;
 use twum_host::sim::{Setup, Simulated};
 
-const DEFAULT_MOTOR: &str = "pcbmotor-30mm";
+pub const DEFAULT_MOTOR: &str = "pcbmotor-30mm";
 /// A motor of one time constant, for tests of the link and the loop.
-const SIMPLE: &str = "simple";
+pub const SIMPLE: &str = "simple";
 
 /// Which motor is there, or which one to simulate.
 #[derive(Clone, Debug, clap::Args)]
@@ -45,6 +46,26 @@ impl MotorArgs {
             bail!("--flavour and --effects are of a simulated motor: give them to `twum sim`, or with --port sim");
         }
         Ok(())
+    }
+
+    /// The motors to hold a controller against before it runs: the file's that is named, or the shipped one, in the reading that is named,
+    /// or in both of a rotor that is braked. None for the motor of tests, which has no file.
+    pub fn readings(&self) -> Result<Vec<(Motor, Flavour)>> {
+        let name = self.asked()?.unwrap_or_else(|| DEFAULT_MOTOR.to_owned());
+        if name == SIMPLE {
+            return Ok(Vec::new());
+        }
+        let motor = Motor::load(&name)?;
+        let flavours = match self.flavour.is_given() {
+            true => vec![self.flavour.get()],
+            false => vec![Flavour::Measured, Flavour::Physical],
+        };
+        Ok(flavours.into_iter().map(|flavour| (motor.clone(), flavour)).collect())
+    }
+
+    /// The motor of the command line alone.
+    pub fn named(&self) -> Option<&str> {
+        self.motor.as_deref()
     }
 
     /// The motor of the command line, or else of the user's own defaults.

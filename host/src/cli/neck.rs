@@ -3,15 +3,19 @@
 use super::connect::{INTERRUPTED, catch_interrupts};
 use super::existing::ExistingArgs;
 use super::flavour::FlavourArgs;
-use super::output::stage;
+use super::output::{pieces, stage};
+use super::uncertainty::UncertaintyArgs;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::Solver;
 use twum_host::model::parameters::Flavour;
+use twum_host::model::uncertainty::Band;
 use twum_host::neck::control::Named;
 use twum_host::neck::disturbance::Disturbance;
 use twum_host::neck::exercise::Exercise;
@@ -38,6 +42,7 @@ Examples:
   twum neck --plot neck.png --report neck.html --mcap neck.mcap
   twum neck --disturbance-deg 8 --disturbance-hz 0.5 --disturbance-joints 2
   twum neck --exercise flexion-extension --head-kg 0.05 --head-centre 0.12
+  twum neck --motor own/motor.toml --flavour measured --uncertainty
   twum neck exercises flexion-extension > mine.toml  a file to start one's own from
   twum neck --exercise mine.toml
   twum neck path --exercise mine.toml --json
@@ -109,6 +114,8 @@ struct RunArgs {
     /// Distance of the end point from the wrist's centre, m
     #[arg(long, default_value_t = THESIS_LENGTH_M)]
     neck_length: f64,
+    #[command(flatten)]
+    uncertainty: UncertaintyArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -196,10 +203,20 @@ fn simulate(args: RunArgs) -> Result<ExitCode> {
     waiting.finish_and_clear();
     let scores: Vec<Score> = sessions.iter().map(|session| Score::of(session, &setup)).collect();
     let report = Report::new(&setup, scores.clone());
+    let bands = bands(&args, &setup, &exercises)?;
     if args.json {
-        emit(format!("{}\n", serde_json::to_string_pretty(&report)?).as_bytes())?;
+        let mut told = serde_json::to_value(&report)?;
+        if let Some(bands) = &bands {
+            told["uncertainty"] = args.uncertainty.json(json!({ "mean_abs_error_m": bands }));
+        }
+        emit(format!("{}\n", serde_json::to_string_pretty(&told)?).as_bytes())?;
     } else {
         emit(report.text().as_bytes())?;
+        for (exercise, band) in bands.iter().flatten() {
+            let [low, high] = band.ci95;
+            let words = args.uncertainty.words();
+            emit(format!("{exercise}: mean end-point error {low:.6} to {high:.6} m ({words})\n").as_bytes())?;
+        }
     }
     let all: Vec<&Session> = sessions.iter().collect();
     if let Some(file) = args.figure {
@@ -219,6 +236,28 @@ fn simulate(args: RunArgs) -> Result<ExitCode> {
         eprintln!("wrote {}", file.display());
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Where each exercise's mean end-point error lies for motors that the file leaves possible (m).
+fn bands(args: &RunArgs, setup: &Setup, exercises: &[Exercise]) -> Result<Option<BTreeMap<String, Band>>> {
+    let (flavour, solver) = (setup.motor.flavour(), setup.motor.solver());
+    let motor = Motor::load(&args.motor)?;
+    let Some(motors) = args.uncertainty.draws(&motor, flavour, setup.motor.parameters(), &[])? else {
+        return Ok(None);
+    };
+    let bar = pieces("motors", motors.len());
+    let mut errors: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    for parameters in motors {
+        let motor = JointMotor::new(motor.name.clone(), parameters, flavour, solver);
+        let other = Setup { motor, ..setup.clone() };
+        let sessions = other.simulate_all(exercises).context("with one of the motors that the file leaves possible")?;
+        for score in sessions.iter().map(|session| Score::of(session, &other)) {
+            errors.entry(score.exercise).or_default().push(score.mean_abs_error_m);
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(Some(errors.into_iter().map(|(exercise, values)| (exercise, Band::of(values))).collect()))
 }
 
 fn setup(args: &RunArgs) -> Result<Setup> {

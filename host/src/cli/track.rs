@@ -26,6 +26,9 @@ pub struct Args {
     /// How long to track, s
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
+    /// Run a controller of a file that is unstable in the model of the motor too
+    #[arg(long)]
+    allow_unstable: bool,
 }
 
 /// What to track; the thesis's sine when nothing is given.
@@ -90,6 +93,9 @@ fn way_point(text: &str, edges: u16) -> Result<WayPoint> {
 /// Runs `twum track`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let duration_ms = duration_ms(args.seconds)?;
+    if !args.allow_unstable {
+        args.configuration.refuse_unstable(args.connect.motor_args())?;
+    }
     super::run::make(&args.connect, &args.configuration, &args.record, |configuration| {
         let reference = args.reference.reference(configuration.edges_per_rev)?;
         Ok(Action::Track(TrackRun { reference, duration_ms }))

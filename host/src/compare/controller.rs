@@ -29,7 +29,10 @@ pub enum ControllerError {
     #[error("run `{0}` holds no control ticks: only the `control` format shows what the controller did")]
     NoTicks(String),
     /// The run does not say which controller ran.
-    #[error("run `{0}` does not name its controller: add `control = \"thesis\"`, `\"default\"` or a table of gains")]
+    #[error(
+        "run `{0}` names no controller that a table can recompute: a recording's own, such as a gated drive's, needs more than its \
+         ticks and is checked by `twum replay`; a folder's run is named by `control = \"thesis\"`, `\"default\"` or a table of gains"
+    )]
     NoController(String),
     /// The controller itself is not valid.
     #[error(transparent)]

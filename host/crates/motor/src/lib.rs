@@ -22,7 +22,7 @@
 //! [`plant`] is the seam behind which [`motor_plant`] (either model, with the [`effects`] that live in a motor) and
 //! [`inertial`] (an ordinary motor) look alike; [`actuator`] is the PWM in front of a plant, [`sensor`] the encoder behind
 //! it, and [`simulate`] the three together; [`closed_loop`] puts the control step round them, and [`tracking`] says how well it followed;
-//! [`robust`] asks that of motors that differ. `docs/model.md` has the equations, what was corrected, and how far the models are apart.
+//! [`robust`] asks that of motors that differ, [`uncertainty`] draws those a motor file leaves possible. `docs/model.md` has the equations, what was corrected, and how far the models are apart.
 
 pub mod actuator;
 mod arccosine;
@@ -49,6 +49,7 @@ pub mod simulate;
 mod stretches;
 pub mod study;
 pub mod tracking;
+pub mod uncertainty;
 
 #[cfg(test)]
 mod tests;

@@ -54,21 +54,78 @@ pub struct Candidate {
     pub pwm_hz: f64,
 }
 
+/// What is to be followed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Target {
+    /// A sine.
+    Sine {
+        /// Its amplitude (counts).
+        amplitude: i32,
+        /// Its angular frequency (rad/s).
+        omega_rad_s: f64,
+    },
+    /// Another place from the start on.
+    Step(
+        /// Where (counts).
+        i32,
+    ),
+    /// A speed to the end.
+    Ramp(
+        /// The speed (counts/s).
+        i32,
+    ),
+}
+
+impl Target {
+    fn reference(self) -> Reference {
+        match self {
+            Self::Sine { amplitude, omega_rad_s } => {
+                Reference::Sine { amplitude, omega_urad_s: (omega_rad_s * 1e6).round() as u32 }
+            }
+            Self::Step(position) => Reference::Step { position, at_us: 0 },
+            Self::Ramp(rate) => Reference::Ramp { rate, limit: FARTHEST_RAMP },
+        }
+    }
+
+    /// Where the rotor should be, not cut to whole counts (counts).
+    fn at(self, time_s: f64) -> f64 {
+        match self {
+            Self::Sine { amplitude, omega_rad_s } => f64::from(amplitude) * (omega_rad_s * time_s).sin(),
+            Self::Step(position) => f64::from(position),
+            Self::Ramp(rate) => f64::from(rate) * time_s,
+        }
+    }
+}
+
+/// Farther than any run goes (counts): what references may at most.
+const FARTHEST_RAMP: u32 = 1 << 24;
+
 /// What is asked.
 #[derive(Debug, Clone, Copy)]
 pub struct Study<'a> {
     /// The motor that the draws vary.
     pub motor: &'a Motor,
-    /// Amplitude of the sine to follow (counts).
-    pub amplitude: i32,
-    /// Its angular frequency (rad/s).
-    pub omega_rad_s: f64,
+    /// What is to be followed.
+    pub target: Target,
+    /// Load against positive rotation, as a share of the stall torque (1).
+    pub load: f64,
     /// Length of a run (s).
     pub seconds: f64,
     /// Motors drawn.
     pub draws: u64,
     /// Seed of the draws.
     pub seed: u64,
+}
+
+/// One motor of the draws.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Drawn {
+    /// The reading of the model.
+    pub flavour: Flavour,
+    /// Its parameters.
+    pub parameters: Parameters,
+    /// Its effects.
+    pub effects: EffectSet,
 }
 
 /// One loop of one draw.
@@ -127,45 +184,70 @@ pub enum RobustError {
     Effect(#[from] EffectError),
 }
 
-/// Every controller on every rotor, over the same draws.
+/// Every controller on rotors of [`ROTORS`], over the same draws.
 ///
 /// # Errors
 /// When a controller cannot run, or the motor varies beyond what the model describes.
-pub fn robust(study: &Study, candidates: &[Candidate]) -> Result<Vec<Cell>, RobustError> {
+pub fn robust(
+    study: &Study,
+    candidates: &[Candidate],
+    rotors: &[(&'static str, Flavour)],
+) -> Result<Vec<Cell>, RobustError> {
     let mut cells = Vec::new();
-    for (rotor, flavour) in ROTORS {
+    for &(rotor, flavour) in rotors {
         let drawn: Vec<_> = (0..study.draws).map(|i| draw(study, flavour, i)).collect::<Result<_, _>>()?;
         for candidate in candidates {
-            let outcomes = drawn
-                .par_iter()
-                .map(|(parameters, effects)| follow(study, candidate, flavour, *parameters, effects))
-                .collect::<Result<Vec<_>, _>>()?;
-            let of = |f: &dyn Fn(&Outcome) -> f64| Spread::of(outcomes.iter().map(f).collect());
-            cells.push(Cell {
-                rotor,
-                controller: candidate.name.clone(),
-                true_deg: of(&|o| o.true_deg),
-                counted_deg: of(&|o| o.counted_deg),
-                miscount: of(&|o| o.miscount.unsigned_abs() as f64),
-                ran_away: outcomes.iter().filter(|o| o.ran_away).count(),
-                outcomes,
-            });
+            cells.push(cell(study, candidate, rotor, &drawn)?);
         }
     }
     Ok(cells)
 }
 
+/// One controller on every motor of a list, on all cores.
+///
+/// # Errors
+/// When the controller cannot run.
+pub fn cell(study: &Study, candidate: &Candidate, rotor: &'static str, drawn: &[Drawn]) -> Result<Cell, RobustError> {
+    let outcomes =
+        drawn.par_iter().map(|motor| follow(study, candidate, motor)).collect::<Result<Vec<_>, RobustError>>()?;
+    let of = |f: &dyn Fn(&Outcome) -> f64| Spread::of(outcomes.iter().map(f).collect());
+    Ok(Cell {
+        rotor,
+        controller: candidate.name.clone(),
+        true_deg: of(&|o| o.true_deg),
+        counted_deg: of(&|o| o.counted_deg),
+        miscount: of(&|o| o.miscount.unsigned_abs() as f64),
+        ran_away: outcomes.iter().filter(|o| o.ran_away).count(),
+        outcomes,
+    })
+}
+
 /// The `index`th motor: the same whichever flavour and controller it is for.
-fn draw(study: &Study, flavour: Flavour, index: u64) -> Result<(Parameters, EffectSet), RobustError> {
-    let mut rng = ChaCha8Rng::seed_from_u64(study.seed);
-    rng.set_stream(index);
-    let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
-    let angle = [-PI, PI];
-    let speed = 1.0 + within(SPEED) * within([-1.0, 1.0]).signum();
+fn draw(study: &Study, flavour: Flavour, index: u64) -> Result<Drawn, RobustError> {
+    let mut rng = stream(study.seed, index);
+    let speed = 1.0 + rng.random_range(SPEED[0]..=SPEED[1]) * rng.random_range(-1.0..=1.0f64).signum();
     let mut parameters = study.motor.parameters(flavour);
     // The stator's surface, which carries the rotor, moves in proportion to its half thickness.
     parameters.set("h", parameters.half_thickness_m * speed)?;
     let mut effects = study.motor.effects();
+    add_nuisance(&mut rng, &mut effects)?;
+    Ok(Drawn { flavour, parameters, effects })
+}
+
+/// The chance of the `index`th draw of a seed.
+pub fn stream(seed: u64, index: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(index);
+    rng
+}
+
+/// What a bench may have besides a motor's own parameters: one draw of each effect above.
+///
+/// # Errors
+/// Never: the ranges lie within the effects' bounds.
+pub fn add_nuisance(rng: &mut ChaCha8Rng, effects: &mut EffectSet) -> Result<(), EffectError> {
+    let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
+    let angle = [-PI, PI];
     let drawn: [(&str, &[f64]); 8] = [
         ("preload-runout", &[within(RUNOUT), within(angle)]),
         ("frequency-settling", &SETTLING.map(&mut within)),
@@ -180,22 +262,18 @@ fn draw(study: &Study, flavour: Flavour, index: u64) -> Result<(Parameters, Effe
     for (name, values) in drawn {
         effects.set(name, values)?;
     }
-    Ok((parameters, effects))
+    Ok(())
 }
 
-fn follow(
-    study: &Study,
-    candidate: &Candidate,
-    flavour: Flavour,
-    parameters: Parameters,
-    effects: &EffectSet,
-) -> Result<Outcome, RobustError> {
+/// One controller on one motor.
+///
+/// # Errors
+/// When the controller cannot run.
+pub fn follow(study: &Study, candidate: &Candidate, motor: &Drawn) -> Result<Outcome, RobustError> {
+    let Drawn { flavour, parameters, effects } = motor;
     let program = LoopProgram {
         config: candidate.config,
-        reference: Reference::Sine {
-            amplitude: study.amplitude,
-            omega_urad_s: (study.omega_rad_s * 1e6).round() as u32,
-        },
+        reference: study.target.reference(),
         pwm_hz: candidate.pwm_hz,
         edges_per_rev: study.motor.edges_per_rev,
         // Alignment leaves the rotor at an edge: wherever the disc shows one.
@@ -203,11 +281,13 @@ fn follow(
         end_s: study.seconds,
         true_sense: false,
     };
-    let mut plant = MotorPlant::new(parameters, flavour, Solver::Averaged, effects, History::default());
+    let stall_nm = parameters.friction * parameters.preload_n * parameters.contact_radius_m;
+    let loaded = Parameters { load_nm: parameters.load_nm + study.load * stall_nm, ..*parameters };
+    let mut plant = MotorPlant::new(loaded, *flavour, Solver::Averaged, effects, History::default());
     let trace = run(&program, &mut plant, effects)?;
     let followed = following(&program, &trace);
     let count_deg = 360.0 / f64::from(program.edges_per_rev);
-    let wanted = |t: &Tick| f64::from(study.amplitude) * (study.omega_rad_s * t.time_s).sin() * count_deg;
+    let wanted = |t: &Tick| study.target.at(t.time_s) * count_deg;
     let off: f64 = trace.iter().map(|t| (wanted(t) - t.angle_rad.to_degrees()).abs()).sum();
     let encoder = Encoder::new(program.edges_per_rev, program.encoder_phase_rad, effects);
     let miscount = trace.last().map_or(0, |t| i64::from(t.position) - encoder.interval_at(t.angle_rad));
@@ -221,7 +301,8 @@ fn follow(
 }
 
 impl Spread {
-    fn of(values: Vec<f64>) -> Self {
+    /// Of a sample.
+    pub fn of(values: Vec<f64>) -> Self {
         let [median, p90] = quantiles(values, [0.5, 0.9]);
         Self { median, p90 }
     }
@@ -233,7 +314,14 @@ mod tests {
     use twum_shared::step::ConfigSpec;
 
     fn study(motor: &Motor, draws: u64) -> Study<'_> {
-        Study { motor, amplitude: 89, omega_rad_s: 1.257, seconds: 1.0, draws, seed: 7 }
+        Study {
+            motor,
+            target: Target::Sine { amplitude: 89, omega_rad_s: 1.257 },
+            load: 0.0,
+            seconds: 1.0,
+            draws,
+            seed: 7,
+        }
     }
 
     fn candidate(name: &str, spec: ConfigSpec) -> Candidate {
@@ -244,12 +332,28 @@ mod tests {
     fn draws_are_the_same_for_every_controller_and_differ_from_one_another() {
         let motor = Motor::pcbmotor_30mm();
         let (a, b) = (candidate("a", ConfigSpec::DEFAULT), candidate("b", ConfigSpec::DEFAULT));
-        let cells = robust(&study(&motor, 6), &[a, b]).unwrap();
+        let cells = robust(&study(&motor, 6), &[a, b], &ROTORS).unwrap();
         assert_eq!(cells.len(), 2 * ROTORS.len());
         for pair in cells.chunks(2) {
             assert_eq!(pair[0].outcomes, pair[1].outcomes);
             assert!(pair[0].outcomes.windows(2).all(|o| o[0] != o[1]));
         }
+    }
+
+    /// A step and a ramp are followed from the first tick on, and a load that the clamped rotor holds without drive changes little.
+    #[test]
+    fn steps_ramps_and_loads_are_asked_too() {
+        let motor = Motor::pcbmotor_30mm();
+        let asked = |target: Target, load: f64| {
+            let study = Study { target, load, seconds: 3.0, ..study(&motor, 2) };
+            robust(&study, &[candidate("default", ConfigSpec::DEFAULT)], &ROTORS[..1]).unwrap()[0].true_deg.median
+        };
+        // 20 counts at 234 a second are 0.09 s of 3 s, 9° in the mean of that time.
+        assert!((0.1..1.2).contains(&asked(Target::Step(20), 0.0)));
+        let ramp = asked(Target::Ramp(100), 0.0);
+        assert!((0.1..2.0).contains(&ramp), "{ramp}");
+        let loaded = asked(Target::Ramp(100), 0.5);
+        assert!(loaded > ramp && loaded < 6.0, "{loaded} after {ramp}");
     }
 
     /// A controller that does nothing is as far off as the sine goes: 2/π of 80.1°, and the board would have stopped none.
@@ -263,7 +367,7 @@ mod tests {
             ..ConfigSpec::DEFAULT
         };
         let whole = Study { seconds: 2.0 * PI / 1.257, draws: 2, ..study(&motor, 2) };
-        for cell in robust(&whole, &[candidate("none", none)]).unwrap() {
+        for cell in robust(&whole, &[candidate("none", none)], &ROTORS).unwrap() {
             assert!((cell.true_deg.median - 89.0 * 0.9 * 2.0 / PI).abs() < 0.1, "{cell:?}");
             assert_eq!((cell.miscount.p90, cell.ran_away), (0.0, 0));
         }

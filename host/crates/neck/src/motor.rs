@@ -56,6 +56,11 @@ impl JointMotor {
         &self.name
     }
 
+    /// Its parameters.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
     /// Flavour of its model.
     pub fn flavour(&self) -> Flavour {
         self.flavour

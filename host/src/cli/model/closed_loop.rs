@@ -5,16 +5,20 @@ use super::super::output::stage;
 use super::super::units;
 use super::{Common, print_json};
 use anyhow::{Context, Result};
+use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
 use twum_host::configuration::controller;
 use twum_host::model::closed_loop::{Following, LoopProgram, Tick, following, run as run_loop};
 use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::{History, MotorPlant};
+use twum_host::model::robust::Drawn;
 use twum_host::model::study::Setup;
+use twum_host::model::uncertainty::Band;
 use twum_host::output::{self, Output};
 use twum_host::report::figure::{Figure, Panel};
-use twum_shared::step::Config;
+use twum_host::tune::margins::{Rig, holds};
+use twum_shared::step::{Config, ConfigSpec};
 
 /// Arguments of `twum model loop`.
 #[derive(Debug, clap::Args)]
@@ -46,6 +50,35 @@ struct LoopAnswer {
     following: Following,
     ticks: usize,
     wall_s: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    uncertainty: Option<serde_json::Value>,
+}
+
+/// Where the figures lie for motors that the file leaves possible.
+#[derive(Serialize)]
+struct Bands {
+    mse_deg2: Band,
+    mean_abs_deg: Band,
+    true_mse_deg2: Band,
+    true_mean_abs_deg: Band,
+}
+
+impl Bands {
+    fn of(program: &LoopProgram, motors: &[Setup]) -> Result<Self> {
+        let one = |motor: &Setup| -> Result<Following> {
+            let effects = &motor.effects;
+            let mut plant = MotorPlant::new(motor.parameters, motor.flavour, motor.solver, effects, History::default());
+            Ok(following(program, &run_loop(program, &mut plant, effects)?))
+        };
+        let found = motors.par_iter().map(one).collect::<Result<Vec<_>>>()?;
+        let band = |f: &dyn Fn(&Following) -> f64| Band::of(found.iter().map(f).collect());
+        Ok(Self {
+            mse_deg2: band(&|f| f.mse_deg2),
+            mean_abs_deg: band(&|f| f.mean_abs_deg),
+            true_mse_deg2: band(&|f| f.true_mse_deg2),
+            true_mean_abs_deg: band(&|f| f.true_mean_abs_deg),
+        })
+    }
 }
 
 pub fn run(args: Args) -> Result<()> {
@@ -67,20 +100,40 @@ pub fn run(args: Args) -> Result<()> {
         true_sense,
     };
     let effects = setup.effects;
+    let motor = Drawn { flavour: setup.flavour, parameters: setup.parameters, effects };
+    let rig = Rig { motor, edges_per_rev: program.edges_per_rev, pwm_hz: Some(program.pwm_hz) };
+    // Nothing is at stake here: this is where a loop that swings may be looked at.
+    if ConfigSpec::named(&control).is_none()
+        && let Err(swings) = holds(&rig, &spec)?
+    {
+        eprintln!("warning: --control {control}: {swings}");
+    }
     let mut plant = MotorPlant::new(setup.parameters, setup.flavour, setup.solver, &effects, History::default());
     let began = std::time::Instant::now();
     let waiting = stage("simulating the closed loop");
     let trace = run_loop(&program, &mut plant, &effects)?;
     waiting.finish_and_clear();
+    let wall_s = began.elapsed().as_secs_f64();
     let following = following(&program, &trace);
+    let bands = common.possible(&setup)?.map(|motors| Bands::of(&program, &motors)).transpose()?;
     if common.json {
-        print_json(&LoopAnswer { following, ticks: trace.len(), wall_s: began.elapsed().as_secs_f64() })?;
+        let uncertainty = bands.as_ref().map(|bands| common.uncertainty.json(serde_json::json!(bands)));
+        print_json(&LoopAnswer { following, ticks: trace.len(), wall_s, uncertainty })?;
     } else {
         println!("counted  {:.3} deg2 MSE, {:.3} deg mean |error|", following.mse_deg2, following.mean_abs_deg);
         println!(
             "true     {:.3} deg2 MSE, {:.3} deg mean |error|",
             following.true_mse_deg2, following.true_mean_abs_deg
         );
+        if let Some(bands) = &bands {
+            let between = |b: Band| format!("{:.3} to {:.3}", b.ci95[0], b.ci95[1]);
+            println!(
+                "mean |error|: counted {} deg, true {} deg ({})",
+                between(bands.mean_abs_deg),
+                between(bands.true_mean_abs_deg),
+                common.uncertainty.words()
+            );
+        }
         println!("the count ended {} counts off the true position", following.miscount);
     }
     if let Some(path) = csv {

@@ -8,6 +8,7 @@ mod robust;
 mod steady;
 
 use super::flavour::FlavourArgs;
+use super::uncertainty::UncertaintyArgs;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use serde::Serialize;
@@ -31,6 +32,7 @@ Examples:
   twum model loop --flavour measured --csv loop.csv --plot loop.svg     the thesis's closed loop
   twum model braking                                how much the rotor brakes with the drive off
   twum model robust --control thesis --control default    both on 200 motors that differ
+  twum model speed --motor own/motor.toml --flavour measured --uncertainty     with the band the file leaves
   twum model check                                  the tables of docs/model.md, for this motor
   twum model sweep --motor mine.toml                speed against input of an ordinary motor, as twum diagnose --save-model wrote it
 
@@ -116,6 +118,8 @@ struct Common {
     solver: SolverArg,
     #[command(flatten)]
     flavour: FlavourArgs,
+    #[command(flatten)]
+    uncertainty: UncertaintyArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -153,6 +157,15 @@ impl Common {
             output::may_write(path, Existing::Keep)?;
         }
         Ok(setup)
+    }
+
+    /// Motors that the file's uncertainties leave possible, where bands are asked for; what `--set` sets is exact.
+    fn possible(&self, setup: &Setup) -> Result<Option<Vec<Setup>>> {
+        let exact: Vec<String> =
+            self.set.iter().filter_map(|set| Some(set.split_once('=')?.0.trim().to_owned())).collect();
+        let motor = Motor::load(&self.motor)?;
+        let motors = self.uncertainty.draws(&motor, setup.flavour, &setup.parameters, &exact)?;
+        Ok(motors.map(|motors| motors.into_iter().map(|parameters| Setup { parameters, ..*setup }).collect()))
     }
 
     fn draw(&self, figure: impl FnOnce() -> Result<Figure>) -> Result<()> {

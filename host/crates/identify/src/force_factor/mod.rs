@@ -7,7 +7,7 @@
 //! says which parameter takes part in it, by how much, and whether the data or only the prior separates the two.
 
 mod model;
-mod observe;
+pub mod observe;
 mod report;
 mod torque;
 

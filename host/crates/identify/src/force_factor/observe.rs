@@ -4,24 +4,33 @@ use std::f64::consts::TAU;
 use twum_record::measurement::{Direction, Run, RunData, RunKind};
 
 /// From here a motor counts as run up (s): the thesis's motor takes some 50 ms.
-pub(super) const RUN_UP_S: f64 = 0.5;
+pub const RUN_UP_S: f64 = 0.5;
 
 /// A run's steady speed and lag.
-pub(super) struct Observed {
-    pub(super) id: String,
-    pub(super) duty: f64,
-    pub(super) sign: f64,
-    pub(super) load_nm: f64,
-    pub(super) pwm_hz: f64,
-    pub(super) pwm_phase_s: f64,
-    pub(super) rpm: f64,
-    pub(super) sigma_rpm: f64,
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observed {
+    /// Run.
+    pub id: String,
+    /// Fraction of the PWM period with the drive on.
+    pub duty: f64,
+    /// +1 clockwise, -1 counter-clockwise.
+    pub sign: f64,
+    /// Load against the motion (N·m).
+    pub load_nm: f64,
+    /// PWM frequency (Hz).
+    pub pwm_hz: f64,
+    /// Time from the start of a PWM period to the start of the run (s).
+    pub pwm_phase_s: f64,
+    /// Steady speed, without sign (rpm).
+    pub rpm: f64,
+    /// Its standard deviation (rpm).
+    pub sigma_rpm: f64,
     /// Lag and its standard deviation (s).
-    pub(super) lag: Option<(f64, f64)>,
+    pub lag: Option<(f64, f64)>,
 }
 
 /// Speed and lag of a run, from its window after the run-up.
-pub(super) fn observe(run: &Run, edges_per_rev: u32) -> Option<Observed> {
+pub fn observe(run: &Run, edges_per_rev: u32) -> Option<Observed> {
     if run.kind != RunKind::Speed {
         return None;
     }
@@ -142,7 +151,7 @@ fn from_velocity(
 }
 
 /// Runs of the same duty show how far a run repeats; where none do, 1 % is assumed.
-pub(super) fn scatter(observed: &mut [Observed]) {
+pub fn scatter(observed: &mut [Observed]) {
     let mut sum = 0.0;
     let mut freedom = 0.0;
     for (i, o) in observed.iter().enumerate() {
