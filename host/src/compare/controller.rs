@@ -30,8 +30,8 @@ pub enum ControllerError {
     NoTicks(String),
     /// The run does not say which controller ran.
     #[error(
-        "run `{0}` names no controller that a table can recompute: a recording's own, such as a gated drive's, needs more than its \
-         ticks and is checked by `twum replay`; a folder's run is named by `control = \"thesis\"`, `\"default\"` or a table of gains"
+        "run `{0}` names no controller that a table can recompute: add `control = \"thesis\"`, `\"default\"` or a table of gains to a \
+         folder's run; a gated drive's needs more than its ticks, and `twum replay` checks its recording"
     )]
     NoController(String),
     /// The controller itself is not valid.
