@@ -34,8 +34,7 @@ struct Mover {
     lasts_ms: u64,
 }
 
-const TUNE: &str = "tune, run 2";
-const MOVERS: [Mover; 6] = [
+const MOVERS: [Mover; 5] = [
     Mover { name: "track", arguments: &["track", "--seconds", "2"], out: Some("a.mcap"), motion: 2, lasts_ms: 2_000 },
     Mover {
         name: "speed",
@@ -51,6 +50,26 @@ const MOVERS: [Mover; 6] = [
         motion: 3,
         lasts_ms: 2_000,
     },
+    Mover { name: "align", arguments: &["align"], out: None, motion: 1, lasts_ms: 500 },
+    Mover { name: "driver", arguments: &["driver", "u2000"], out: Some("a.mcap"), motion: 1, lasts_ms: 2_000 },
+];
+
+/// The laws whose PWM is the tick's own, and most of whose ticks are off; and a tuning, whose runs are a series.
+const GATED_AND_TUNED: [Mover; 3] = [
+    Mover {
+        name: "track, gated",
+        arguments: &["track", "--control", "gated", "--seconds", "2"],
+        out: Some("a.mcap"),
+        motion: 2,
+        lasts_ms: 2_000,
+    },
+    Mover {
+        name: "track, planned",
+        arguments: &["track", "--control", "planned", "--seconds", "2"],
+        out: Some("a.mcap"),
+        motion: 2,
+        lasts_ms: 2_000,
+    },
     Mover {
         name: TUNE,
         arguments: &["tune", "--draws", "10", "--seconds", "1"],
@@ -58,18 +77,8 @@ const MOVERS: [Mover; 6] = [
         motion: 3,
         lasts_ms: 2_500,
     },
-    Mover { name: "align", arguments: &["align"], out: None, motion: 1, lasts_ms: 500 },
-    Mover { name: "driver", arguments: &["driver", "u2000"], out: Some("a.mcap"), motion: 1, lasts_ms: 2_000 },
 ];
-
-/// A drive that is gated: its PWM is the tick's own, and most of its ticks are off.
-const GATED: Mover = Mover {
-    name: "track, gated",
-    arguments: &["track", "--control", "gated", "--seconds", "2"],
-    out: Some("a.mcap"),
-    motion: 2,
-    lasts_ms: 2_000,
-};
+const TUNE: &str = "tune, run 2";
 
 /// What happens in the middle of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -433,11 +442,15 @@ fn matrix(cases: &[(Mover, Event)], shares: &[f64]) -> String {
     table
 }
 
+/// A tuning that nothing ends makes its six other runs: half a minute that shows nothing.
+fn goes_on_shortly((mover, event): &(Mover, Event)) -> bool {
+    mover.name != TUNE || event.ends(*mover)
+}
+
 #[test]
 fn whatever_ends_a_command_the_motor_is_off_and_nothing_starts_again() {
-    let mut cases = every(&[&MOVERS[..], &[GATED]].concat(), &EVENTS);
-    // A tuning that nothing ends goes on for half a minute; the ten moments have that.
-    cases.retain(|(mover, event)| mover.name != TUNE || event.ends(*mover));
+    let mut cases = every(&[&MOVERS[..], &GATED_AND_TUNED].concat(), &EVENTS);
+    cases.retain(goes_on_shortly);
     matrix(&cases, &[0.3]);
 }
 
@@ -452,8 +465,10 @@ fn whatever_ends_a_command_the_motor_is_off_at_ten_moments() {
 /// `... -- --ignored --nocapture gated`
 #[test]
 #[ignore = "minutes; docs/reliability.md gives the command"]
-fn whatever_ends_a_gated_run_the_motor_is_off() {
-    document::record("safety-gated", &matrix(&every(&[GATED], &EVENTS), &moments(10)));
+fn whatever_ends_a_gated_run_or_a_tuning_the_motor_is_off() {
+    let mut cases = every(&GATED_AND_TUNED, &EVENTS);
+    cases.retain(goes_on_shortly);
+    document::record("safety-gated", &matrix(&cases, &moments(10)));
 }
 
 /// `... -- --ignored --nocapture thirty_moments`
