@@ -387,7 +387,7 @@ proptest! {
         for (target, moves) in ticks {
             // An edge in an eighth of the ticks, either way.
             if moves == 0 {
-                position += target.signum();
+                position += if target < 0 { -1 } else { 1 };
                 still = 0;
             }
             let out = step(&config, &mut state, Inputs { target: target / 10, target_rate: 0, position, ..Inputs::default() });
