@@ -6,10 +6,12 @@ use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use twum_host::diagnose::cache::{self, Kept};
 use twum_host::diagnose::inertial::Model;
 use twum_host::diagnose::{Details, Options, answer, diagnose, known_effects, saved};
-use twum_host::input::printable;
+use twum_host::input::{self, printable};
+use twum_host::model::hypothesis::Hypothesis;
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::output;
@@ -44,6 +46,9 @@ pub struct Args {
     /// Take an effect out of the library (may be repeated): what would be said if it were not known?
     #[arg(long, value_name = "EFFECT")]
     without: Vec<String>,
+    /// Search for an effect of your own too: a file with a formula, `[effects.mine]`
+    #[arg(long, value_name = "MINE.toml")]
+    effect: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -93,6 +98,12 @@ pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option
     })
 }
 
+/// The effect in a file of the user's own.
+fn hypothesis(path: &Path) -> Result<Arc<Hypothesis>> {
+    let text = input::text(path, input::WRITTEN).with_context(|| format!("reading the effect {}", path.display()))?;
+    Ok(Arc::new(Hypothesis::parse(&path.display().to_string(), &text)?))
+}
+
 /// Runs `twum diagnose`.
 pub fn run(args: Args) -> Result<ExitCode> {
     for path in args.save_model.iter().chain(&args.report) {
@@ -116,6 +127,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
         coasting: flavour == Flavour::Thesis,
         motor: motor_file.as_ref().map(|m| m.parameters(flavour)),
         without: args.without.clone(),
+        mine: args.effect.as_deref().map(hypothesis).transpose()?,
     };
     for name in &args.without {
         if !known_effects().contains(&name.as_str()) {

@@ -104,7 +104,7 @@ pub struct EffectAnswer {
     pub note: String,
     /// The sentence and the equation of the library that it is of.
     #[serde(skip)]
-    pub says: (&'static str, &'static str),
+    pub says: (String, String),
 }
 
 /// What remains without a cause.
@@ -181,7 +181,10 @@ impl Diagnosis {
                 },
                 noise_floor: floor,
             },
-            effects: findings.iter().map(|f| effect_answer(f, says(&f.name))).collect(),
+            effects: findings
+                .iter()
+                .map(|f| effect_answer(f, says(&f.name, outcome.problem.mine.as_deref())))
+                .collect(),
             extended: Scores {
                 r2_speed: outcome.r2[1],
                 rmse_speed_rpm: Some(extended),
@@ -227,7 +230,7 @@ impl Diagnosis {
 }
 
 /// A finding as it is answered, with what the library that it is of says of it.
-pub(super) fn effect_answer(f: &Finding, says: Option<(&'static str, &'static str)>) -> EffectAnswer {
+pub(super) fn effect_answer(f: &Finding, says: Option<(String, String)>) -> EffectAnswer {
     EffectAnswer {
         name: f.name.clone(),
         status: match f.status {
@@ -315,7 +318,7 @@ pub fn text(d: &Diagnosis) -> String {
 
 /// What is said of a cause, or of a possible one.
 fn suspect(e: &EffectAnswer) -> String {
-    let (sentence, equation) = e.says;
+    let (sentence, equation) = &e.says;
     let heading = if e.status == "named" { "Cause        " } else { "Possible cause" };
     let mut lines = vec![format!("{heading}   {} — {sentence}.", e.name), format!("  model gains   {equation}")];
     for (name, p) in &e.parameters {

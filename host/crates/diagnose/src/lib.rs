@@ -63,6 +63,8 @@ use observe::{Observed, observe};
 use problem::Problem;
 use rotor::{P, Parameters};
 use runs::diagnose_runs;
+use std::sync::Arc;
+use twum_motor::hypothesis::Hypothesis;
 use twum_record::convert::changes;
 use twum_record::measurement::{Format, Measurement, Run, RunData, RunKind};
 
@@ -90,11 +92,13 @@ pub struct Options {
     pub motor: Option<twum_motor::parameters::Parameters>,
     /// Effects taken out of the library.
     pub without: Vec<String>,
+    /// An effect of the user's own, which is searched for like those of the library.
+    pub mine: Option<Arc<Hypothesis>>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { seed: 1, quick: false, coasting: false, motor: None, without: Vec::new() }
+        Self { seed: 1, quick: false, coasting: false, motor: None, without: Vec::new(), mine: None }
     }
 }
 
@@ -131,6 +135,11 @@ pub fn diagnose(
         if inertial < measurements.len() {
             return Err(DiagnoseError::Mixed(
                 "runs of an ordinary motor (format `drive`) and of a TWUM cannot be diagnosed together: name one kind of folder".to_owned(),
+            ));
+        }
+        if options.mine.is_some() {
+            return Err(DiagnoseError::Mixed(
+                "an effect of one's own acts on a TWUM's wave or duty; these are runs of an ordinary motor (format `drive`)".to_owned(),
             ));
         }
         let runs: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).collect();
@@ -173,7 +182,7 @@ pub fn diagnose(
     if !replicated && runs.len() > 1 {
         notes.push("fewer than four runs: no replication, nothing can be said about run-to-run spread".to_owned());
     }
-    let problem = Problem::new(runs);
+    let problem = Problem::new(runs).with(options.mine.clone());
     if problem.duties() == 1 && problem.runs.iter().all(|r| r.kind == RunKind::Speed) {
         notes.push("one duty only: effects over duty (dead zone, saturation, sag, rounding) cannot be seen; add runs at two other duties".to_owned());
     }

@@ -63,6 +63,7 @@ fn pulsed_speed_of(rotor: &Rotor) -> f64 {
         angles: &[0.0, 0.0],
         warmth: 0.0,
         revolutions: 0.0,
+        mine: None,
     };
     let (mut angle, mut speed) = (Vec::new(), Vec::new());
     simulate(&input, &bare, &RunTerms::default(), &mut angle, &mut speed);

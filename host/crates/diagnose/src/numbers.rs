@@ -48,8 +48,8 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
         .iter()
         .filter_map(|reported| {
             let now = set.model.parameters.get(reported.parameter);
-            let name = reported.name.to_owned();
-            let unit = reported.unit.to_owned();
+            let name = reported.name.to_string();
+            let unit = reported.unit.to_string();
             if let Some(k) = part.free.iter().position(|f| f.parameter == reported.parameter) {
                 let f = &part.free[k];
                 let at = first + before + k;

@@ -4,6 +4,8 @@ use super::observe::Observed;
 use super::rotor::{P, Parameters, RunInput, RunTerms, simulate, warm_up};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
+use std::sync::Arc;
+use twum_motor::hypothesis::Hypothesis;
 use twum_record::measurement::RunKind;
 
 /// rad/s to revolutions a minute.
@@ -18,6 +20,8 @@ pub struct Problem {
     revolutions_before: Vec<f64>,
     /// Run indices in the order of making, if every run states it.
     sequence: Option<Vec<usize>>,
+    /// An effect of the user's own.
+    pub mine: Option<Arc<Hypothesis>>,
 }
 
 /// A model: common parameters and what belongs to single runs.
@@ -60,7 +64,12 @@ impl Problem {
                 total += run.revolutions() * (run.drive_end / seen).clamp(1.0, 5.0);
             }
         }
-        Self { runs, revolutions_before, sequence }
+        Self { runs, revolutions_before, sequence, mine: None }
+    }
+
+    /// The same runs, and an effect of the user's own.
+    pub fn with(self, mine: Option<Arc<Hypothesis>>) -> Self {
+        Self { mine, ..self }
     }
 
     /// The same runs compared over stretches of several edges, see [`Observed::widen`].
@@ -152,6 +161,7 @@ impl Problem {
             angles: &run.angles,
             warmth,
             revolutions: self.revolutions_before[i],
+            mine: self.mine.as_deref(),
         }
     }
 

@@ -19,7 +19,7 @@ pub fn diagnose_runs(
     settings: &Settings,
     progress: &dyn Fn(&str, f64),
 ) -> Outcome {
-    let effects: Vec<Effect> = library(home.get(P::OnAcceleration), &clock_errors(problem))
+    let effects: Vec<Effect> = library(home.get(P::OnAcceleration), &clock_errors(problem), problem.mine.as_deref())
         .into_iter()
         .filter(|e| !settings.without.iter().any(|w| w == e.name))
         .collect();

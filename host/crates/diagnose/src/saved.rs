@@ -7,8 +7,10 @@ use super::problem::{Model, Problem};
 use super::refit::coefficients;
 use super::rotor::{HARMONICS, P, Parameters as Rotor, warm_up};
 use std::fmt::Write as _;
+use std::sync::Arc;
 use twum_motor::effects::info;
-use twum_motor::motor::Motor;
+use twum_motor::hypothesis::{self, ActsOn, Hypothesis, Mine};
+use twum_motor::motor::{Listed, Motor};
 use twum_motor::parameters::{Flavour, Parameters};
 
 /// An effect as the motor model has it: its parameters by name; or why the model cannot hold it.
@@ -20,6 +22,9 @@ const NOT_REACHED: &str = "no admissible size in the motor model does this to th
 const SHARES: usize = 12;
 /// Places at which a root is looked for: as many as a range has steps that show in the speed.
 const PLACES: u32 = 20;
+
+/// Relative change of the speed over which the motor model's voltage is held against it: the size that effects have.
+const SMALL_CHANGE: f64 = 0.1;
 
 /// From the rotor equation, which speaks of speed, to the motor model, which speaks of voltage, tuning and preload.
 struct Conversion {
@@ -102,7 +107,7 @@ fn reached(problem: &Problem, p: &Rotor) -> (f64, f64) {
 
 /// Whether an effect of the library was fitted in a model: of effects that cannot be told apart, some are.
 fn is_in(name: &str, extended: &Model) -> bool {
-    let effects = library(1.0, &[]);
+    let effects = library(1.0, &[], None);
     effects.iter().filter(|e| e.name == name).flat_map(|e| &e.forms).any(|form| {
         form.sizes.iter().any(|s| extended.parameters.get(s.parameter) != 0.0)
             || coefficients(extended, &form.phased).iter().flatten().any(|c| *c != 0.0)
@@ -253,6 +258,21 @@ fn runout(convert: &Conversion, extended: &Model, problem: &Problem) -> Carried 
     Ok(values)
 }
 
+/// The user's own effect with what was fitted. Of a change of the speed the model's voltage is changed, as far as gives it.
+fn own(mine: &Arc<Hypothesis>, convert: &Conversion, extended: &Model) -> Result<Mine, &'static str> {
+    let values = &extended.parameters.mine()[..mine.numbers.len()];
+    if !mine.is_there(values) {
+        return Err("it cannot be told from another one here, which was fitted in its place");
+    }
+    let voltage_per_speed = if mine.acts_on == ActsOn::Speed {
+        let side = |slope: f64| convert.voltage(slope, &up_to(1.0)).map(|v| v / slope);
+        side(-SMALL_CHANGE).ok_or(NOT_REACHED)?
+    } else {
+        1.0
+    };
+    Ok(Mine { hypothesis: mine.clone(), values: values.to_vec(), voltage_per_speed })
+}
+
 /// The root of a function between two values, if it changes sign between them.
 fn bisect(low: f64, high: f64, f: &dyn Fn(f64) -> f64) -> Option<f64> {
     let (mut low, mut high) = (low, high);
@@ -298,6 +318,13 @@ pub fn file(
     let mut out = refitted(motor, flavour, &extended.parameters);
     let convert = Conversion::new(&out, flavour);
     for e in diagnosis.effects.iter().filter(|e| e.status != "rejected") {
+        if let (hypothesis::NAME, Some(mine)) = (e.name.as_str(), &problem.mine) {
+            match own(mine, &convert, extended) {
+                Ok(mine) => drop(out.effects.insert(e.name.clone(), Listed::Mine(mine))),
+                Err(why) => drop(writeln!(text, "# Not in this file: {}; {why}.", e.name)),
+            }
+            continue;
+        }
         let carried = if e.status == "ambiguous" && !is_in(&e.name, extended) {
             Err("it cannot be told from another one here, which was fitted in its place")
         } else {
@@ -311,7 +338,7 @@ pub fn file(
                     let bounds = info.and_then(|i| i.parameters.iter().find(|p| p.name == n));
                     (n.to_owned(), bounds.map_or(v, |b| v.clamp(b.lower, b.upper)))
                 });
-                out.effects.insert(e.name.clone(), values.collect());
+                out.effects.insert(e.name.clone(), Listed::Known(values.collect()));
             }
             Err(why) => {
                 let _ = writeln!(text, "# Not in this file: {}; {why}.", e.name);

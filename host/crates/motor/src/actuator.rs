@@ -4,6 +4,7 @@
 //! new direction at once.
 
 use super::effects::EffectSet;
+use super::hypothesis::{ActsOn, Now};
 use super::plant::{Direction, Drive, Plant, Segment};
 
 /// A command to the motor.
@@ -17,9 +18,16 @@ pub struct Command {
     pub direction: Direction,
 }
 
-/// The duty the driver works with: quantised, less the dead zone, bent at the top.
-pub fn effective_duty(effects: &EffectSet, duty: f64) -> f64 {
+/// The duty the driver works with in this direction: quantised, less the dead zone, bent at the top.
+pub fn effective_duty(effects: &EffectSet, duty: f64, direction: Direction) -> f64 {
     let mut u = duty.clamp(0.0, 1.0);
+    if u == 0.0 {
+        return u;
+    }
+    if let Some(mine) = &effects.mine {
+        u = (u + mine.change_of(ActsOn::Duty, &Now { duty, direction: f64::from(direction.sign()), ..Now::default() }))
+            .clamp(0.0, 1.0);
+    }
     if let Some(e) = effects.duty_quantisation
         && e.step > 0.0
     {
@@ -75,7 +83,7 @@ impl Pwm {
         Pwm {
             period_s,
             phase_s,
-            effects: *effects,
+            effects: effects.clone(),
             commanded: 0.0,
             running: 0.0,
             direction: Direction::Cw,
@@ -110,7 +118,7 @@ impl Pwm {
                 start = self.phase_s + self.index as f64 * self.period_s;
                 end = start + self.period_s;
             }
-            let duty = effective_duty(&self.effects, self.running);
+            let duty = effective_duty(&self.effects, self.running, self.direction);
             let rise = if duty > 0.0 { start + (1.0 - duty) * self.period_s } else { f64::INFINITY };
             let on = now >= rise - 1e-12;
             if on && !self.was_on {

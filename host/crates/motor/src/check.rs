@@ -205,14 +205,14 @@ pub fn pieces(motor: &Motor) -> Result<Vec<Piece>, ConfigError> {
         ..EffectSet::default()
     };
     let fast = Parameters { force_factor_n_v: 0.12, ..physical };
-    let none = EffectSet::default();
+    let none = EffectSet::default;
     let mut cases = vec![
-        ("thesis flavour, counts in the rotor's true sense".to_owned(), thesis, Flavour::Thesis, true, none),
-        ("thesis flavour".to_owned(), thesis, Flavour::Thesis, false, none),
-        ("measured flavour".to_owned(), motor.parameters(Flavour::Measured), Flavour::Measured, false, none),
-        ("physical flavour, counts in the rotor's true sense".to_owned(), physical, Flavour::Physical, true, none),
-        ("physical flavour".to_owned(), physical, Flavour::Physical, false, none),
-        ("physical flavour, eta 0.12 N/V (50 rpm)".to_owned(), fast, Flavour::Physical, false, none),
+        ("thesis flavour, counts in the rotor's true sense".to_owned(), thesis, Flavour::Thesis, true, none()),
+        ("thesis flavour".to_owned(), thesis, Flavour::Thesis, false, none()),
+        ("measured flavour".to_owned(), motor.parameters(Flavour::Measured), Flavour::Measured, false, none()),
+        ("physical flavour, counts in the rotor's true sense".to_owned(), physical, Flavour::Physical, true, none()),
+        ("physical flavour".to_owned(), physical, Flavour::Physical, false, none()),
+        ("physical flavour, eta 0.12 N/V (50 rpm)".to_owned(), fast, Flavour::Physical, false, none()),
         (
             "physical flavour, frequency-settling -700 Hz, 30 ms".to_owned(),
             physical,

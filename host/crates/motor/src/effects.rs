@@ -2,8 +2,9 @@
 //!
 //! An effect acts where it lives: in the plant (through [`super::modulation::Modulation`]), on the way from the duty to the plant
 //! ([`super::actuator`]), in the encoder and its clock ([`super::sensor`]), or in the controller ([`super::closed_loop`]).
-//! [`EffectSet`] holds any combination of them without allocation; [`CATALOGUE`] lists them for whoever searches.
+//! [`EffectSet`] holds any combination of them, and a user's own ([`super::hypothesis`]); [`CATALOGUE`] lists them for whoever searches.
 
+use super::hypothesis::Mine;
 use serde::Serialize;
 use thiserror::Error;
 
@@ -135,8 +136,12 @@ macro_rules! effects {
         pub const CATALOGUE: &[EffectInfo] = &[ $( $type::INFO, )+ ];
 
         /// Any combination of effects; the default is none.
-        #[derive(Debug, Clone, Copy, PartialEq, Default)]
-        pub struct EffectSet { $( #[doc = concat!("`", $name, "`.")] pub $slot: Option<$type>, )+ }
+        #[derive(Debug, Clone, PartialEq, Default)]
+        pub struct EffectSet {
+            $( #[doc = concat!("`", $name, "`.")] pub $slot: Option<$type>, )+
+            /// The user's own.
+            pub mine: Option<Mine>,
+        }
 
         impl EffectSet {
             /// Adds or replaces an effect by name, with its parameters in the order of its catalogue entry; those left out at the
@@ -465,8 +470,7 @@ mod tests {
 
     #[test]
     fn the_catalogue_is_the_one_the_answer_names() {
-        let names: Vec<_> = CATALOGUE.iter().map(|info| info.name).collect();
-        assert_eq!(names.len(), 23);
+        assert_eq!(CATALOGUE.len(), 23);
         for info in CATALOGUE {
             assert_eq!(info.parameters[0].kind, Kind::Linear, "{}: the size comes first", info.name);
             for p in info.parameters {

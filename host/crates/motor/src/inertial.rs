@@ -50,7 +50,7 @@ impl InertialPlant {
     pub fn new(parameters: InertialParameters, effects: &EffectSet) -> Self {
         InertialPlant {
             parameters,
-            effects: *effects,
+            effects: effects.clone(),
             time_s: 0.0,
             position_rad: 0.0,
             speed_rad_s: 0.0,

@@ -35,6 +35,7 @@ pub mod closed_loop;
 pub mod contact;
 pub mod effects;
 mod half_contact_table;
+pub mod hypothesis;
 pub mod inertial;
 mod lanes;
 pub mod modulation;

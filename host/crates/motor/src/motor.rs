@@ -20,11 +20,12 @@
 //! [measured.uoff]           # optional: where the measured flavour differs
 //! value = 0.0144
 //!
-//! [effects.dead-zone]       # optional: effects of the catalogue that this motor has
+//! [effects.dead-zone]       # optional: effects of the catalogue that this motor has, and [effects.mine], one's own
 //! threshold_duty = 0.05
 //! ```
 
 use super::effects::{EffectError, EffectInfo, EffectSet, info};
+use super::hypothesis::{self, Mine};
 use super::parameters::{Flavour, ParameterError, Parameters, SPECS};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -70,9 +71,19 @@ pub struct Motor {
     /// Those that differ in the measured flavour.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub measured: BTreeMap<String, Entry>,
-    /// Effects it has (see [`super::effects::CATALOGUE`]), each with its parameters by name.
+    /// Effects it has.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub effects: BTreeMap<String, BTreeMap<String, f64>>,
+    pub effects: BTreeMap<String, Listed>,
+}
+
+/// An effect as a motor file lists it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Listed {
+    /// One of the [`super::effects::CATALOGUE`], with its parameters by name.
+    Known(BTreeMap<String, f64>),
+    /// The user's own.
+    Mine(Mine),
 }
 
 /// What is wrong with a motor file; every message names the file, the key and the line.
@@ -129,15 +140,15 @@ fn shipped() -> String {
 }
 
 /// A motor file being read: what an error needs to point.
-struct Reader<'a> {
-    file: &'a str,
-    text: &'a str,
+pub(super) struct Reader<'a> {
+    pub(super) file: &'a str,
+    pub(super) text: &'a str,
 }
 
 type Table<'a> = Spanned<DeTable<'a>>;
 
 impl<'a> Reader<'a> {
-    fn root(&self) -> Result<Table<'a>, MotorError> {
+    pub(super) fn root(&self) -> Result<Table<'a>, MotorError> {
         DeTable::parse(self.text).map_err(|error| MotorError::Syntax {
             file: self.file.into(),
             line: self.line(error.span().map_or(0, |span| span.start)),
@@ -149,11 +160,11 @@ impl<'a> Reader<'a> {
         self.text.as_bytes().iter().take(offset).filter(|&&b| b == b'\n').count() + 1
     }
 
-    fn key(&self, key: impl Into<String>, offset: usize, problem: impl Into<String>) -> MotorError {
+    pub(super) fn key(&self, key: impl Into<String>, offset: usize, problem: impl Into<String>) -> MotorError {
         MotorError::Key { file: self.file.into(), line: self.line(offset), key: key.into(), problem: problem.into() }
     }
 
-    fn number(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<f64, MotorError> {
+    pub(super) fn number(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<f64, MotorError> {
         let text = match value.get_ref() {
             DeValue::Float(number) => number.as_str().to_owned(),
             DeValue::Integer(number) if number.radix() == 10 => number.as_str().to_owned(),
@@ -167,14 +178,14 @@ impl<'a> Reader<'a> {
         }
     }
 
-    fn string(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<String, MotorError> {
+    pub(super) fn string(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<String, MotorError> {
         match value.get_ref() {
             DeValue::String(text) => Ok(text.to_string()),
             other => Err(self.key(key, value.span().start, format!("must be a string, not {}", other.type_str()))),
         }
     }
 
-    fn known(&self, prefix: &str, table: &DeTable<'_>, known: &[&str]) -> Result<(), MotorError> {
+    pub(super) fn known(&self, prefix: &str, table: &DeTable<'_>, known: &[&str]) -> Result<(), MotorError> {
         for key in table.keys() {
             if !known.contains(&key.get_ref().as_ref()) {
                 let name = format!("{prefix}{}", key.get_ref());
@@ -300,7 +311,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The effects listed; a parameter that is not given keeps the catalogue's absent value.
-    fn effects(&self, root: &DeTable<'_>) -> Result<BTreeMap<String, BTreeMap<String, f64>>, MotorError> {
+    fn effects(&self, root: &DeTable<'_>) -> Result<BTreeMap<String, Listed>, MotorError> {
         let mut out = BTreeMap::new();
         let Some(value) = root.get("effects") else { return Ok(out) };
         let Some(listed) = value.get_ref().as_table() else {
@@ -309,6 +320,10 @@ impl<'a> Reader<'a> {
         for (name, value) in listed {
             let key = format!("effects.{}", name.get_ref());
             let at = name.span().start;
+            if name.get_ref() == hypothesis::NAME {
+                out.insert(hypothesis::NAME.to_owned(), Listed::Mine(self.mine(value)?));
+                continue;
+            }
             let info = info(name.get_ref()).map_err(|error| self.key(&*key, at, format!("will not do: {error}")))?;
             let Some(table) = value.get_ref().as_table() else {
                 return Err(self.key(key, at, "must be a table of the effect's parameters"));
@@ -322,7 +337,7 @@ impl<'a> Reader<'a> {
             }
             place(&mut EffectSet::default(), info, &values)
                 .map_err(|error| self.key(&*key, at, format!("will not do: {error}")))?;
-            out.insert(info.name.to_owned(), values);
+            out.insert(info.name.to_owned(), Listed::Known(values));
         }
         Ok(out)
     }
@@ -339,12 +354,17 @@ fn place(set: &mut EffectSet, info: &EffectInfo, values: &BTreeMap<String, f64>)
     set.set(info.name, &values)
 }
 
-fn effect_set(listed: &BTreeMap<String, BTreeMap<String, f64>>) -> EffectSet {
+fn effect_set(listed: &BTreeMap<String, Listed>) -> EffectSet {
     let mut set = EffectSet::default();
-    for (name, values) in listed {
-        // Both were checked when the file was read; what was put there since and will not do is left out.
-        if let Ok(info) = info(name) {
-            let _ = place(&mut set, info, values);
+    for (name, listed) in listed {
+        match listed {
+            // Both were checked when the file was read; what was put there since and will not do is left out.
+            Listed::Known(values) => {
+                if let Ok(info) = info(name) {
+                    let _ = place(&mut set, info, values);
+                }
+            }
+            Listed::Mine(mine) => set.mine = Some(mine.clone()),
         }
     }
     set
@@ -433,6 +453,14 @@ impl Motor {
     /// The parameters in a flavour.
     pub fn parameters(&self, flavour: Flavour) -> Parameters {
         self.assemble(flavour)
+    }
+
+    /// Sets a number of an effect of the catalogue, which is listed if it was not.
+    pub fn put_effect(&mut self, effect: &str, parameter: &str, value: f64) {
+        let listed = self.effects.entry(effect.to_owned()).or_insert_with(|| Listed::Known(BTreeMap::new()));
+        if let Listed::Known(values) = listed {
+            values.insert(parameter.to_owned(), value);
+        }
     }
 
     /// The effects the file lists.

@@ -4,6 +4,7 @@ use super::averaged::Averaged;
 use super::blend::Blend;
 use super::carrier::Carrier;
 use super::effects::EffectSet;
+use super::hypothesis::{ActsOn, Now};
 use super::modulation::Modulation;
 use super::parameters::{Flavour, Parameters};
 use super::plant::{Drive, Plant, Segment};
@@ -78,13 +79,18 @@ impl MotorPlant {
         effects: &EffectSet,
         history: History,
     ) -> Self {
-        let moving = effects.resonance_heating.is_some()
+        let mine =
+            effects.mine.as_ref().filter(|m| m.hypothesis.acts_on != ActsOn::Duty && m.hypothesis.is_there(&m.values));
+        let steady = mine.is_none_or(|m| m.hypothesis.is_steady());
+        let moving = !steady
+            || effects.resonance_heating.is_some()
             || effects.frequency_settling.is_some()
             || effects.preload_runout.is_some()
             || effects.gravity_load.is_some()
             || effects.supply_sag.is_some()
             || effects.run_in_wear.is_some();
-        let fixed = effects.off_phase_braking.is_some()
+        let fixed = mine.is_some()
+            || effects.off_phase_braking.is_some()
             || effects.contact_stiffening.is_some()
             || effects.direction_asymmetry.is_some()
             || effects.high_duty_saturation.is_some_and(|e| e.voltage_loss != 0.0)
@@ -96,7 +102,8 @@ impl MotorPlant {
             effects.supply_sag.is_some() || effects.frequency_settling.is_some_and(|e| e.tau_s < SETTLES_SLOWLY_S);
         // Nor has the blend's grid an axis for a friction that varies.
         let rubs = effects.preload_runout.is_some_and(|e| e.on_friction != 0.0 || e.on_braking != 0.0);
-        let blends = moving && !quick && !rubs && flavour == Flavour::Physical && effects.presliding.is_none();
+        let blends =
+            moving && mine.is_none() && !quick && !rubs && flavour == Flavour::Physical && effects.presliding.is_none();
         let left = effects.resonance_heating.map_or(1.0, |e| e.kept);
         let history = History { warmth: left * history.warmth, ..history };
         MotorPlant {
@@ -106,7 +113,7 @@ impl MotorPlant {
                 Solver::Averaged => Model::Averaged(Box::new(Averaged::new(parameters, flavour))),
                 Solver::Carrier => Model::Carrier(Box::new(Carrier::new(parameters, flavour)), 0.0),
             },
-            effects: *effects,
+            effects: effects.clone(),
             history,
             current: 0.0,
             began_s: 0.0,
@@ -199,6 +206,21 @@ impl MotorPlant {
         }
         if let Some(e) = e.run_in_wear {
             m.voltage *= (1.0 + e.gain * (self.history.revolutions / e.revolutions).ln_1p()).max(0.0);
+        }
+        if let Some(mine) = &e.mine {
+            let now = Now {
+                duty: drive.duty,
+                time_s: time - self.began_s,
+                on_s: self.driven_s,
+                turned_rad: angle,
+                speed_rad_s: self.speed_rad_s(),
+                direction: sense,
+                revolutions: self.history.revolutions,
+            };
+            let change = |what| mine.change_of(what, &now);
+            m.voltage *= (1.0 + mine.voltage_per_speed * change(ActsOn::Speed)).max(0.0);
+            m.friction *= (1.0 + change(ActsOn::Torque)).clamp(LEAST_FACTOR, 1.0 / LEAST_FACTOR);
+            m.off_friction *= (1.0 + change(ActsOn::Braking)).clamp(LEAST_FACTOR, 1.0 / LEAST_FACTOR);
         }
         m
     }

@@ -118,7 +118,7 @@ pub struct Study<'a> {
 }
 
 /// One motor of the draws.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Drawn {
     /// The reading of the model.
     pub flavour: Flavour,

@@ -33,7 +33,7 @@ impl Encoder {
         let mut encoder = Encoder {
             pitch_rad: 2.0 * PI / f64::from(edges_per_rev),
             phase_rad,
-            effects: *effects,
+            effects: effects.clone(),
             interval: 0,
             shaft_rad: 0.0,
         };

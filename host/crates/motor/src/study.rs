@@ -13,7 +13,7 @@ use std::time::Instant;
 use thiserror::Error;
 
 /// A run at constant duty.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Setup {
     /// The motor.
     pub parameters: Parameters,
@@ -154,7 +154,7 @@ impl Setup {
     /// # Errors
     /// As [`Setup::check`].
     pub fn sweep(&self, duties: &[f64]) -> Result<Vec<(f64, Speed)>, SetupError> {
-        let setups: Vec<Setup> = duties.iter().map(|&duty| Setup { duty, ..*self }).collect();
+        let setups: Vec<Setup> = duties.iter().map(|&duty| Setup { duty, ..self.clone() }).collect();
         Ok(duties.iter().copied().zip(speeds(&setups)?).collect())
     }
 
@@ -163,7 +163,7 @@ impl Setup {
     /// # Errors
     /// As [`Setup::check`].
     pub fn under_loads(&self, loads_nm: &[f64]) -> Result<Vec<(f64, Speed)>, SetupError> {
-        let with = |&load_nm: &f64| Setup { parameters: Parameters { load_nm, ..self.parameters }, ..*self };
+        let with = |&load_nm: &f64| Setup { parameters: Parameters { load_nm, ..self.parameters }, ..self.clone() };
         let setups: Vec<Setup> = loads_nm.iter().map(with).collect();
         Ok(loads_nm.iter().copied().zip(speeds(&setups)?).collect())
     }
@@ -194,8 +194,8 @@ fn speeds(setups: &[Setup]) -> Result<Vec<Speed>, SetupError> {
 /// [`Setup::speed`] of up to [`LANES`] carrier runs at once; idle lanes repeat the last.
 fn carrier_speeds(setups: &[Setup]) -> Vec<Speed> {
     let began = Instant::now();
-    let lane: [Setup; LANES] = std::array::from_fn(|i| setups[i.min(setups.len() - 1)]);
-    let Setup { flavour, pwm_hz, seconds, .. } = lane[0];
+    let lane: [&Setup; LANES] = std::array::from_fn(|i| &setups[i.min(setups.len() - 1)]);
+    let Setup { flavour, pwm_hz, seconds, .. } = *lane[0];
     let mut motors = SideBySide::new(lane.map(|s| s.parameters), flavour);
     let period_s = 1.0 / pwm_hz;
     let from_s = 0.8 * seconds;
@@ -261,7 +261,7 @@ mod tests {
             };
             let duties = [0.0, 0.3, 0.55, 0.9, 1.0];
             for (duty, together) in setup.sweep(&duties).unwrap() {
-                let alone = Setup { duty, ..setup }.speed().unwrap();
+                let alone = Setup { duty, ..setup.clone() }.speed().unwrap();
                 // Edges of the others cut the steps elsewhere, no more.
                 let off = (together.speed_rad_s - alone.speed_rad_s).abs();
                 assert!(off < 1e-5, "{flavour} {duty}: {together:?} {alone:?}");
@@ -270,7 +270,7 @@ mod tests {
             let loads = [0.0, 2e-4, 1e-3];
             for (load_nm, together) in setup.under_loads(&loads).unwrap() {
                 let parameters = Parameters { load_nm, ..setup.parameters };
-                let alone = Setup { parameters, ..setup }.speed().unwrap();
+                let alone = Setup { parameters, ..setup.clone() }.speed().unwrap();
                 assert!((together.speed_rad_s - alone.speed_rad_s).abs() < 1e-5, "{flavour} {load_nm}");
             }
         }

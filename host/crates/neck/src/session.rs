@@ -167,7 +167,7 @@ struct Run {
 impl Run {
     fn repeats(&self, other: &Self) -> bool {
         self.control.repeats(&other.control)
-            && (self.ticks, self.added_kg_m2, self.effects) == (other.ticks, other.added_kg_m2, other.effects)
+            && (self.ticks, self.added_kg_m2, &self.effects) == (other.ticks, other.added_kg_m2, &other.effects)
     }
 
     fn make(&self, common: Common, motor: &JointMotor) -> JointTrace {

@@ -223,7 +223,7 @@ fn at(base: &Parameters, effects: &EffectSet, x: &DVector<f64>) -> Result<(Param
     // The stator's surface, which carries the rotor, moves in proportion to its half thickness.
     parameters.half_thickness_m *= x[0].exp();
     parameters.off_friction = (parameters.off_friction * x[2].exp()).min(2.0);
-    let mut effects = *effects;
+    let mut effects = effects.clone();
     effects.set("direction-asymmetry", &[x[1].clamp(-0.5, 0.5), 0.0])?;
     effects.set("dead-zone", &[(LOST_DUTY + x[3]).clamp(0.0, 0.6)])?;
     Ok((parameters.check()?, effects))
@@ -451,7 +451,7 @@ impl Identified {
         ];
         for (effect, parameter, value) in best {
             let value = value.clamp(if parameter == "gain" { -0.5 } else { 0.0 }, 0.5);
-            motor.effects.entry(effect.to_owned()).or_default().insert(parameter.to_owned(), value);
+            motor.put_effect(effect, parameter, value);
         }
         motor
     }

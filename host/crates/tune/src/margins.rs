@@ -93,7 +93,7 @@ impl Rig {
         if spec.kp == I32F32::ZERO {
             parameters.half_thickness_m = (parameters.half_thickness_m * gain).min(0.1);
         }
-        let mut effects: EffectSet = self.motor.effects;
+        let mut effects: EffectSet = self.motor.effects.clone();
         let late = effects.loop_delay.map_or(0.0, |e| e.ticks) + late_ticks;
         // The bounds of the effect hold any delay that is looked for.
         let _ = effects.set("loop-delay", &[late.min(200.0)]);

@@ -99,8 +99,8 @@ pub fn run(args: Args) -> Result<()> {
         end_s: setup.seconds,
         true_sense,
     };
-    let effects = setup.effects;
-    let motor = Drawn { flavour: setup.flavour, parameters: setup.parameters, effects };
+    let effects = setup.effects.clone();
+    let motor = Drawn { flavour: setup.flavour, parameters: setup.parameters, effects: effects.clone() };
     let rig = Rig { motor, edges_per_rev: program.edges_per_rev, pwm_hz: Some(program.pwm_hz) };
     // Nothing is at stake here: this is where a loop that swings may be looked at.
     if ConfigSpec::named(&control).is_none()

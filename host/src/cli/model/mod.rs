@@ -165,7 +165,7 @@ impl Common {
             self.set.iter().filter_map(|set| Some(set.split_once('=')?.0.trim().to_owned())).collect();
         let motor = Motor::load(&self.motor)?;
         let motors = self.uncertainty.draws(&motor, setup.flavour, &setup.parameters, &exact)?;
-        Ok(motors.map(|motors| motors.into_iter().map(|parameters| Setup { parameters, ..*setup }).collect()))
+        Ok(motors.map(|motors| motors.into_iter().map(|parameters| Setup { parameters, ..setup.clone() }).collect()))
     }
 
     fn draw(&self, figure: impl FnOnce() -> Result<Figure>) -> Result<()> {

@@ -75,6 +75,7 @@ impl Setup {
             // Values that are present were checked when they were set.
             let _ = effects.set(info.name, &values);
         }
+        effects.mine = hidden.mine.clone().or(effects.mine);
         for (info, _) in effects.present() {
             let name = info.name;
             let reason = match name {
@@ -86,12 +87,12 @@ impl Setup {
             return Err(NotOnABoard { name, reason });
         }
         let described =
-            Simulated { motor: motor.name.clone(), flavour: Some(flavour), effects: !hidden.present().is_empty() };
+            Simulated { motor: motor.name.clone(), flavour: Some(flavour), effects: *hidden != EffectSet::default() };
         let plant = MotorPlant::new(motor.parameters(flavour), flavour, Solver::Averaged, &effects, History::default());
         Ok(Self {
             edges_per_rev: motor.edges_per_rev,
             simulates: described.to_string(),
-            encoder_effects: effects,
+            encoder_effects: effects.clone(),
             motor: Box::new(HybridMotor::new(plant, effects)),
             driver: DriverHealth::Well,
             ..Self::default()
@@ -123,8 +124,8 @@ impl HybridMotor {
     }
 
     /// What the effects of the actuator take off each period's on time (s). A duty that they round up stays as the pin has it.
-    fn lost_s(&self) -> f64 {
-        (self.duty - effective_duty(&self.effects, self.duty)).max(0.0) * self.period_s
+    fn lost_s(&self, direction: Direction) -> f64 {
+        (self.duty - effective_duty(&self.effects, self.duty, direction)).max(0.0) * self.period_s
     }
 
     fn run(&mut self, dt_s: f64, level: f64, direction: Direction) {
@@ -145,7 +146,7 @@ impl SimulatedMotor for HybridMotor {
         // A board whose clock runs fast makes its ticks and its PWM in less time than it says.
         let dt_s = dt_s / (1.0 + self.effects.clock_error.map_or(0.0, |e| e.error));
         if drive_on {
-            let (mut since_s, lost_s) = (self.on_s.unwrap_or(0.0), self.lost_s());
+            let (mut since_s, lost_s) = (self.on_s.unwrap_or(0.0), self.lost_s(direction));
             // Under full duty the pin never goes off: what is taken off a period, is taken off every one.
             if lost_s > 0.0 && since_s >= self.period_s {
                 since_s -= self.period_s;

@@ -40,8 +40,8 @@ use sets::Ground;
 use twum_record::measurement::Run;
 
 /// The sentence and the equation of an effect of an ordinary motor.
-fn says(name: &str) -> Option<(&'static str, &'static str)> {
-    EFFECTS.iter().find(|e| e.name == name).map(|e| (e.says, e.equation))
+fn says(name: &str) -> Option<(String, String)> {
+    EFFECTS.iter().find(|e| e.name == name).map(|e| (e.says.to_owned(), e.equation.to_owned()))
 }
 
 /// The answer that other programs read.

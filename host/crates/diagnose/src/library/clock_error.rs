@@ -14,8 +14,8 @@ pub(super) fn effect(lines: &[f64]) -> Effect {
     };
     Effect {
         name: "clock-error",
-        says: "the recorder's clock runs fast or slow: speeds and PWM periods are scaled alike",
-        equation: "t_recorded = (1 + ε + d·t/2)·t",
+        says: "the recorder's clock runs fast or slow: speeds and PWM periods are scaled alike".into(),
+        equation: "t_recorded = (1 + ε + d·t/2)·t".into(),
         coordinate: Coordinate::Clock,
         needs: &[Need::PulsedDrive, Need::Edges],
         forms: [2e-5].iter().chain(lines).flat_map(|e| [error(*e), drifting(*e)]).collect(),

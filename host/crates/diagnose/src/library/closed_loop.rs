@@ -6,8 +6,8 @@ use crate::rotor::P;
 pub(super) fn gravity_load() -> Effect {
     Effect {
         name: "gravity-load",
-        says: "a weight off the axis pulls with the sine of the angle",
-        equation: "load torque m·g·l·sin(θ + φ)",
+        says: "a weight off the axis pulls with the sine of the angle".into(),
+        equation: "load torque m·g·l·sin(θ + φ)".into(),
         coordinate: Coordinate::Angle,
         needs: &[Need::ClosedLoop],
         forms: vec![phased(vec![Phased::Gravity])],
@@ -20,8 +20,8 @@ pub(super) fn gravity_load() -> Effect {
 pub(super) fn backlash() -> Effect {
     Effect {
         name: "backlash",
-        says: "motion is lost at each reversal before the encoder follows",
-        equation: "a gap g between motor and encoder",
+        says: "motion is lost at each reversal before the encoder follows".into(),
+        equation: "a gap g between motor and encoder".into(),
         coordinate: Coordinate::Reversal,
         needs: &[Need::ClosedLoop],
         forms: vec![one(P::Backlash, 0.02, 1e-3, (0.0, 0.3))],
@@ -34,8 +34,8 @@ pub(super) fn backlash() -> Effect {
 pub(super) fn reversal_miscount() -> Effect {
     Effect {
         name: "reversal-miscount",
-        says: "the counter gains or loses counts at each reversal",
-        equation: "count + n at each reversal, in the new sense or always in the same",
+        says: "the counter gains or loses counts at each reversal".into(),
+        equation: "count + n at each reversal, in the new sense or always in the same".into(),
         coordinate: Coordinate::Reversal,
         needs: &[Need::ClosedLoop],
         forms: vec![one(P::Miscount, 1.0, 0.1, (-5.0, 5.0)), one(P::MiscountDrift, 1.0, 0.1, (-5.0, 5.0))],
@@ -54,8 +54,8 @@ pub(super) fn off_phase_braking() -> Effect {
     let missing = |share: f64| one(P::OffLoss, share, share, (0.0, 0.9999));
     Effect {
         name: "off-phase-braking",
-        says: "the rotor brakes with the wave gone as the motor file does not say",
-        equation: "Coulomb torque −Fc_off·sign(ω) while the drive is off",
+        says: "the rotor brakes with the wave gone as the motor file does not say".into(),
+        equation: "Coulomb torque −Fc_off·sign(ω) while the drive is off".into(),
         coordinate: Coordinate::Pulse,
         needs: &[Need::ClosedLoop],
         forms: [0.7, 0.9, 0.97, 0.99, 0.997].map(missing).into(),

@@ -8,8 +8,9 @@ pub(super) fn effect() -> Effect {
     let band = |step: f64| one(P::SlipExtra, 0.5, step, (0.0, 5.0));
     Effect {
         name: "contact-stiffening",
-        says: "the contact takes up the speed difference softly: the rotor approaches the wave's speed slowly",
-        equation: "drive torque saturates within a slip band (s₀ + s)·ω_free instead of s₀·ω_free (contact force ∝ δⁿ)",
+        says: "the contact takes up the speed difference softly: the rotor approaches the wave's speed slowly".into(),
+        equation: "drive torque saturates within a slip band (s₀ + s)·ω_free instead of s₀·ω_free (contact force ∝ δⁿ)"
+            .into(),
         coordinate: Coordinate::Pulse,
         needs: &[Need::PulsedDrive],
         forms: vec![band(0.05), band(0.3), band(1.0)],

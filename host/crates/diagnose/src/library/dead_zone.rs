@@ -11,8 +11,8 @@ pub(super) fn effect() -> Effect {
         .map(|at| one(P::GateDuty, at, at, (0.0, 0.6)).shaped(P::GateWidth, 0.02, WIDTH, (0.003, 0.08)));
     Effect {
         name: "dead-zone",
-        says: "part of every commanded duty is lost: below a threshold nothing moves",
-        equation: "u → max(u − u₀, 0), or u above a threshold and nothing below",
+        says: "part of every commanded duty is lost: below a threshold nothing moves".into(),
+        equation: "u → max(u − u₀, 0), or u above a threshold and nothing below".into(),
         coordinate: Coordinate::Duty,
         needs: &[Need::ThreeDuties],
         forms: std::iter::once(one(P::DeadDuty, 0.1, 0.005, (0.0, 0.6))).chain(gates).collect(),

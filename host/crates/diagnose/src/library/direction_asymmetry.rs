@@ -10,8 +10,8 @@ pub(super) fn effect() -> Effect {
     both.sizes.extend(brake.sizes.clone());
     Effect {
         name: "direction-asymmetry",
-        says: "the motor is faster in one direction than in the other",
-        equation: "speed·(1 ± g), braking·(1 ± b)",
+        says: "the motor is faster in one direction than in the other".into(),
+        equation: "speed·(1 ± g), braking·(1 ± b)".into(),
         coordinate: Coordinate::Direction,
         needs: &[Need::BothDirections],
         forms: vec![speed, both, brake],

@@ -11,8 +11,8 @@ pub(super) fn effect() -> Effect {
     let steps = || (3..=26).chain([28, 30, 31, 32, 40, 50, 64]).map(f64::from);
     Effect {
         name: "duty-quantisation",
-        says: "the duty is rounded to a coarse grid",
-        equation: "u → round(N·u)/N, or floor(N·u)/N",
+        says: "the duty is rounded to a coarse grid".into(),
+        equation: "u → round(N·u)/N, or floor(N·u)/N".into(),
         coordinate: Coordinate::Duty,
         needs: &[Need::ThreeDuties],
         forms: [0.0, 1.0].into_iter().flat_map(|down| steps().map(move |n| rounded(n, down))).collect(),

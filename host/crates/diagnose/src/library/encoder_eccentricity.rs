@@ -7,8 +7,8 @@ pub(super) fn effect() -> Effect {
     let up_to = |n: usize| phased((0..n).map(Phased::Eccentricity).collect());
     Effect {
         name: "encoder-eccentricity",
-        says: "the encoder wheel is not centred: its angle errs once a turn, the same at every duty",
-        equation: "θ_measured = θ + Σ e_k·sin(kθ − φ_k)",
+        says: "the encoder wheel is not centred: its angle errs once a turn, the same at every duty".into(),
+        equation: "θ_measured = θ + Σ e_k·sin(kθ − φ_k)".into(),
         coordinate: Coordinate::Angle,
         needs: &[Need::HalfATurn, Need::Edges],
         forms: vec![up_to(1), up_to(2), up_to(3), up_to(4)],

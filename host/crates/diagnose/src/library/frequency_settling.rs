@@ -15,8 +15,9 @@ pub(super) fn effect() -> Effect {
     });
     Effect {
         name: "frequency-settling",
-        says: "the drive frequency needs time to find the resonance at each start, so the speed over- or undershoots",
-        equation: "speed·(1 + δ·exp(−t/τ)), t from the start of the run, or the time driven since",
+        says: "the drive frequency needs time to find the resonance at each start, so the speed over- or undershoots"
+            .into(),
+        equation: "speed·(1 + δ·exp(−t/τ)), t from the start of the run, or the time driven since".into(),
         coordinate: Coordinate::Start,
         needs: &[],
         forms: forms.collect(),

@@ -9,8 +9,8 @@ const POWER: LogNormal = LogNormal { median: 3.0, log_sd: 0.6 };
 pub(super) fn effect() -> Effect {
     Effect {
         name: "high-duty-saturation",
-        says: "more duty gives less and less drive: the speed–duty line bends at the top",
-        equation: "u → u/(1 + u/us), u/(1 + b·u^p), speed·(1 − s·u^p), or min(u, 1 − f)",
+        says: "more duty gives less and less drive: the speed–duty line bends at the top".into(),
+        equation: "u → u/(1 + u/us), u/(1 + b·u^p), speed·(1 − s·u^p), or min(u, 1 − f)".into(),
         coordinate: Coordinate::Duty,
         needs: &[Need::ThreeDuties],
         forms: vec![

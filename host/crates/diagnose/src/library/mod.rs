@@ -12,6 +12,7 @@ mod duty_quantisation;
 mod encoder_eccentricity;
 mod frequency_settling;
 mod high_duty_saturation;
+mod mine;
 mod preload_runout;
 mod resonance_heating;
 mod run_in_wear;
@@ -23,6 +24,8 @@ mod unequal_edges;
 use super::design::Column;
 use super::problem::Problem;
 use super::rotor::P;
+use std::borrow::Cow;
+use twum_motor::hypothesis::Hypothesis;
 use twum_record::measurement::RunKind;
 
 /// A belief about a positive number: a log-normal.
@@ -112,12 +115,12 @@ pub struct Form {
 }
 
 /// A number of an effect as it is reported.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Reported {
     /// Name in the JSON.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// Unit in the JSON.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// Where it lives.
     pub parameter: P,
 }
@@ -191,9 +194,9 @@ pub struct Effect {
     /// Name, as in the list of effects.
     pub name: &'static str,
     /// One sentence for the text answer.
-    pub says: &'static str,
+    pub says: Cow<'static, str>,
     /// What the model gains.
-    pub equation: &'static str,
+    pub equation: Cow<'static, str>,
     /// Over what it shows.
     pub coordinate: Coordinate,
     /// What the data have to show.
@@ -230,19 +233,20 @@ const BEFORE_THE_PLANT: [(&str, &str, &str); 3] = [
 /// Names of all effects of a TWUM that can be found.
 pub fn known_effects() -> Vec<&'static str> {
     let early = BEFORE_THE_PLANT.iter().map(|e| e.0);
-    early.chain(library(1.0, &[]).iter().map(|e| e.name)).collect()
+    early.chain(library(1.0, &[], None).iter().map(|e| e.name)).collect()
 }
 
-/// The sentence and the equation of an effect.
-pub fn says(name: &str) -> Option<(&'static str, &'static str)> {
-    let early = BEFORE_THE_PLANT.iter().find(|e| e.0 == name).map(|e| (e.1, e.2));
-    early.or_else(|| library(1.0, &[]).iter().find(|e| e.name == name).map(|e| (e.says, e.equation)))
+/// The sentence and the equation of an effect of the library, or of the user's own.
+pub fn says(name: &str, mine: Option<&Hypothesis>) -> Option<(String, String)> {
+    let early = BEFORE_THE_PLANT.iter().find(|e| e.0 == name).map(|e| (e.1.to_owned(), e.2.to_owned()));
+    let of = |e: Effect| (e.says.into_owned(), e.equation.into_owned());
+    early.or_else(|| library(1.0, &[], mine).into_iter().find(|e| e.name == name).map(of))
 }
 
 /// The whole library. The rotor's acceleration under drive in rad/s² sets the scale of the searches over friction; `clock_errors` are the
-/// relative errors at which the PWM's line stands out in the records.
-pub fn library(on_acceleration: f64, clock_errors: &[f64]) -> Vec<Effect> {
-    vec![
+/// relative errors at which the PWM's line stands out in the records; `mine` is an effect of the user's own.
+pub fn library(on_acceleration: f64, clock_errors: &[f64], mine: Option<&Hypothesis>) -> Vec<Effect> {
+    let known = vec![
         resonance_heating::effect(),
         frequency_settling::effect(),
         dead_zone::effect(),
@@ -262,7 +266,8 @@ pub fn library(on_acceleration: f64, clock_errors: &[f64]) -> Vec<Effect> {
         closed_loop::backlash(),
         closed_loop::reversal_miscount(),
         closed_loop::off_phase_braking(),
-    ]
+    ];
+    known.into_iter().chain(mine.map(mine::effect)).collect()
 }
 
 /// A form of one size and no shape.
@@ -342,7 +347,7 @@ impl Effect {
 }
 
 fn reported(name: &'static str, unit: &'static str, parameter: P) -> Reported {
-    Reported { name, unit, parameter }
+    Reported { name: name.into(), unit: unit.into(), parameter }
 }
 
 /// Why an effect cannot be judged from these runs, if it cannot.

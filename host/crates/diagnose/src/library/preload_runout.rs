@@ -16,8 +16,8 @@ pub(super) fn effect() -> Effect {
     let on_friction = harmonics[..3].iter().map(|h| acting(turns(h), 0.0, 1.0, 1.0));
     Effect {
         name: "preload-runout",
-        says: "the drive changes with the rotor's angle: the preload is not the same all round",
-        equation: "drive·(1 + Σ a_k·cos(kθ − φ_k)), on the wave's speed, its torque or the friction",
+        says: "the drive changes with the rotor's angle: the preload is not the same all round".into(),
+        equation: "drive·(1 + Σ a_k·cos(kθ − φ_k)), on the wave's speed, its torque or the friction".into(),
         coordinate: Coordinate::Angle,
         needs: &[Need::HalfATurn],
         forms: on_all.chain(on_speed).chain(on_torque).chain(on_friction).collect(),

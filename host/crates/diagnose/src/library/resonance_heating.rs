@@ -19,8 +19,8 @@ pub(super) fn effect() -> Effect {
     });
     Effect {
         name: "resonance-heating",
-        says: "the motor slows as it warms up: its resonance drifts away from the drive frequency",
-        equation: "dT/dt = (u − T)/τ, speed·(1 − h·T)",
+        says: "the motor slows as it warms up: its resonance drifts away from the drive frequency".into(),
+        equation: "dT/dt = (u − T)/τ, speed·(1 − h·T)".into(),
         coordinate: Coordinate::Start,
         needs: &[Need::LongRun],
         forms: cold.into_iter().chain(carried).collect(),

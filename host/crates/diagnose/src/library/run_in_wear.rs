@@ -9,8 +9,8 @@ const REVOLUTIONS: LogNormal = LogNormal { median: 5.0, log_sd: 1.5 };
 pub(super) fn effect() -> Effect {
     Effect {
         name: "run-in-wear",
-        says: "the motor changes for good from run to run, with the distance it has turned",
-        equation: "speed·(1 + w·log(1 + revs/r₀))",
+        says: "the motor changes for good from run to run, with the distance it has turned".into(),
+        equation: "speed·(1 + w·log(1 + revs/r₀))".into(),
         coordinate: Coordinate::Order,
         needs: &[Need::Order],
         forms: [0.3, 3.0, 30.0, 300.0]

@@ -9,8 +9,8 @@ const REST: LogNormal = LogNormal { median: 0.01, log_sd: 0.7 };
 pub(super) fn effect() -> Effect {
     Effect {
         name: "start-delay",
-        says: "the wave builds up late after each rise of the PWM",
-        equation: "drive starts t_d after each PWM rise, or t_d·(1 − exp(−rest/τ))",
+        says: "the wave builds up late after each rise of the PWM".into(),
+        equation: "drive starts t_d after each PWM rise, or t_d·(1 − exp(−rest/τ))".into(),
         coordinate: Coordinate::Pulse,
         needs: &[Need::PulsedDrive],
         forms: vec![

@@ -15,8 +15,8 @@ pub(super) fn effect(on_acceleration: f64) -> Effect {
     };
     Effect {
         name: "stribeck-friction",
-        says: "the rotor sticks at low speed: friction is larger at rest",
-        equation: "friction + Fs·exp(−(ω/vs)²)",
+        says: "the rotor sticks at low speed: friction is larger at rest".into(),
+        equation: "friction + Fs·exp(−(ω/vs)²)".into(),
         coordinate: Coordinate::Pulse,
         needs: &[Need::PulsedDrive],
         forms: [0.15, 0.4, 1.0, 2.0].map(extra).into(),

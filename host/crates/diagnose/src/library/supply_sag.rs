@@ -11,8 +11,10 @@ const POWER: LogNormal = LogNormal { median: 1.0, log_sd: 0.5 };
 pub(super) fn effect() -> Effect {
     Effect {
         name: "supply-sag",
-        says: "the supply gives way under load: more drive power, less speed, at once",
-        equation: "speed·(1 − r·s), τ·ds/dt = drive − s  (V = V₀ − R·I, with the supply's capacitance), or speed·(1 − r·u^p)",
+        says: "the supply gives way under load: more drive power, less speed, at once".into(),
+        equation:
+            "speed·(1 − r·s), τ·ds/dt = drive − s  (V = V₀ − R·I, with the supply's capacitance), or speed·(1 − r·u^p)"
+                .into(),
         coordinate: Coordinate::Pulse,
         needs: &[Need::ThreeDuties],
         forms: [0.0015, 0.003, 0.01, 0.03]

@@ -6,8 +6,8 @@ use crate::rotor::P;
 pub(super) fn effect() -> Effect {
     Effect {
         name: "unequal-edges",
-        says: "the encoder's high and low slots are not equally wide",
-        equation: "high slots (1 + δ) pitch, low slots (1 − δ) pitch",
+        says: "the encoder's high and low slots are not equally wide".into(),
+        equation: "high slots (1 + δ) pitch, low slots (1 − δ) pitch".into(),
         coordinate: Coordinate::Slots,
         needs: &[Need::Levels],
         forms: vec![one(P::EdgeOffset, 0.2, 0.01, (-0.9, 0.9))],

@@ -71,6 +71,7 @@ mod tests {
             angles: &angles,
             warmth: 0.0,
             revolutions: 0.0,
+            mine: None,
         };
         let mut angle = Vec::new();
         simulate(&input, p, &RunTerms::default(), &mut angle, &mut Vec::new());
@@ -144,6 +145,7 @@ mod tests {
                     angles: &angles,
                     warmth: 0.0,
                     revolutions: 0.0,
+                    mine: None,
                 };
                 let [mut fast, mut stepped] = [Vec::new(), Vec::new()];
                 simulate(&input, &p, &RunTerms::default(), &mut fast, &mut Vec::new());

@@ -1,5 +1,7 @@
 //! Everything that an effect can change in the rotor equation.
 
+use twum_motor::hypothesis::MOST_NUMBERS;
+
 /// Number of scalar parameters, see [`P`].
 pub const PARAMETERS: usize = P::ALL.len();
 
@@ -101,11 +103,19 @@ pub enum P {
     RunoutTorque,
     /// `preload-runout`: how much of it acts on the braking without a wave.
     RunoutBrake,
+    /// The user's own effect: the first number of its formula.
+    Mine0,
+    /// The second.
+    Mine1,
+    /// The third.
+    Mine2,
+    /// The fourth.
+    Mine3,
 }
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 46] = [
+    pub const ALL: [P; 50] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -152,7 +162,14 @@ impl P {
         P::RunoutSpeed,
         P::RunoutTorque,
         P::RunoutBrake,
+        P::Mine0,
+        P::Mine1,
+        P::Mine2,
+        P::Mine3,
     ];
+
+    /// The numbers of the user's own effect.
+    pub const MINE: [P; MOST_NUMBERS] = [P::Mine0, P::Mine1, P::Mine2, P::Mine3];
 }
 
 /// Values of all parameters.
@@ -189,6 +206,11 @@ impl Parameters {
     /// Deceleration without a wave in rad/s², what is missing of the friction taken off.
     pub fn off_deceleration(&self) -> f64 {
         self.get(P::OffDeceleration) * (1.0 - self.get(P::OffLoss))
+    }
+
+    /// Values of the numbers of the user's own effect.
+    pub fn mine(&self) -> [f64; MOST_NUMBERS] {
+        P::MINE.map(|p| self.get(p))
     }
 
     /// Sets one parameter.

@@ -4,6 +4,7 @@ use super::motion::{Piece, off_piece, on_piece};
 use super::parameters::harmonics;
 use super::wave::Wave;
 use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay};
+use twum_motor::hypothesis::{ActsOn, Hypothesis, Now};
 
 /// What a simulation of one run needs beside the parameters.
 #[derive(Debug, Clone)]
@@ -22,6 +23,8 @@ pub struct RunInput<'a> {
     pub warmth: f64,
     /// Revolutions made before this run.
     pub revolutions: f64,
+    /// An effect of the user's own; its numbers are among the parameters.
+    pub mine: Option<&'a Hypothesis>,
 }
 
 /// Wave times after which the crest is full to a few thousandths.
@@ -80,6 +83,10 @@ struct Simulation<'a> {
     wave: Wave,
     /// What changes slowly or with the angle, so that no period repeats another.
     has_angle: bool,
+    /// The user's own effect, where it acts.
+    mine: Option<&'a Hypothesis>,
+    /// Commanded duty of the period.
+    duty: f64,
     /// Times that are asked for, in s of the drive; the next of them.
     asked: Vec<f64>,
     next: usize,
@@ -132,6 +139,8 @@ impl<'a> Simulation<'a> {
             p,
             terms,
             wave,
+            mine: input.mine.filter(|m| m.is_there(&p.mine())),
+            duty: 0.0,
             has_angle: terms.runout.iter().chain(&terms.gravity).any(|c| *c != 0.0),
             asked,
             next: 0,
@@ -159,6 +168,7 @@ impl<'a> Simulation<'a> {
         let settle = self.p.get(P::SettleExcess);
         let since = if self.p.get(P::SettleOnTime) > 0.5 { self.on_time } else { self.t };
         !self.has_angle
+            && self.mine.is_none_or(Hypothesis::is_steady)
             && self.p.get(P::HeatLoss) == 0.0
             && self.p.get(P::Wear) == 0.0
             && self.input.schedule.directions.len() <= 1
@@ -221,7 +231,8 @@ impl<'a> Simulation<'a> {
     fn period(&mut self, start: f64, end: f64, duty: f64) {
         let loss = self.p.get(P::BendLoss);
         self.kept = if loss != 0.0 { 1.0 - loss * duty.powf(self.p.get(P::BendPower)) } else { 1.0 };
-        let duty = effective_duty(duty, self.p);
+        self.duty = duty;
+        let duty = effective_duty(self.commanded(start, duty), self.p);
         let mut on_from = end - duty * (end - start);
         if duty < 1.0 - 1e-9 {
             let rest_s = if start <= 0.0 { f64::INFINITY } else { on_from - start };
@@ -285,7 +296,7 @@ impl<'a> Simulation<'a> {
         if p.get(P::SettleExcess) != 0.0 {
             longest = longest.min(0.3 * p.get(P::SettleTau)).max(1e-3);
         }
-        if self.has_angle {
+        if self.has_angle || self.mine.is_some_and(|m| !m.is_steady()) {
             longest = longest.min(LONGEST_OVER_ANGLE_S);
         }
         let viscous = p.get(P::Viscous);
@@ -327,13 +338,17 @@ impl<'a> Simulation<'a> {
             }
             let (modulation, mut external) = self.over_angle();
             external -= p.get(P::Viscous) * self.speed + self.stribeck(on, sign);
-            let brake = brake * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0);
+            let brake = brake
+                * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0)
+                * (1.0 + self.mine(ActsOn::Braking, sign)).max(0.0);
             let mut target = 0.0;
             let mut acceleration = self.wave.rate;
             if on {
-                target = sign * self.wave.full * self.gain(sign, modulation, end) * crest;
+                let mine = (1.0 + self.mine(ActsOn::Speed, sign)).max(0.0);
+                target = sign * self.wave.full * self.gain(sign, modulation, end) * mine * crest;
                 self.on_time += end - self.t;
-                acceleration *= (1.0 + p.get(P::RunoutTorque) * modulation).max(0.01);
+                let torque = (1.0 + p.get(P::RunoutTorque) * modulation) * (1.0 + self.mine(ActsOn::Torque, sign));
+                acceleration *= torque.max(0.01);
             }
             if p.get(P::Sag) != 0.0 {
                 let drive = if on { 1.0 } else { 0.0 };
@@ -369,17 +384,45 @@ impl<'a> Simulation<'a> {
         self.t = stop;
     }
 
-    /// Relative modulation by the angle, and the torque over inertia that hangs on it.
-    fn over_angle(&mut self) -> (f64, f64) {
-        if !self.has_angle {
-            return (0.0, 0.0);
-        }
+    /// The angle that the encoder shows now, in rad.
+    fn shown(&mut self) -> f64 {
         let now = self.t * (1.0 + self.p.get(P::ClockError)) + self.p.get(P::Latency);
         let times = self.input.times;
         while self.measured + 1 < times.len() && times[self.measured + 1] <= now {
             self.measured += 1;
         }
-        let theta = self.input.angles[self.measured];
+        self.input.angles.get(self.measured).copied().unwrap_or(self.angle)
+    }
+
+    /// What the user's own effect changes now of what it acts on.
+    fn mine(&mut self, what: ActsOn, sign: f64) -> f64 {
+        let Some(mine) = self.mine.filter(|m| m.acts_on == what) else { return 0.0 };
+        let now = Now {
+            duty: self.duty,
+            time_s: self.t,
+            on_s: self.on_time,
+            turned_rad: self.shown(),
+            speed_rad_s: self.speed,
+            direction: sign,
+            revolutions: self.input.revolutions + self.angle.abs() / std::f64::consts::TAU,
+        };
+        mine.change(&self.p.mine(), &now)
+    }
+
+    /// The duty that is asked of the driver's own map in the period that begins now.
+    fn commanded(&self, start: f64, duty: f64) -> f64 {
+        let Some(mine) = self.mine.filter(|m| m.acts_on == ActsOn::Duty && duty > 0.0) else { return duty };
+        let directions = &self.input.schedule.directions;
+        let direction = directions.iter().rev().find(|d| d.0 <= start).map_or(1.0, |d| d.1);
+        (duty + mine.change(&self.p.mine(), &Now { duty, direction, ..Now::default() })).clamp(0.0, 1.0)
+    }
+
+    /// Relative modulation by the angle, and the torque over inertia that hangs on it.
+    fn over_angle(&mut self) -> (f64, f64) {
+        if !self.has_angle {
+            return (0.0, 0.0);
+        }
+        let theta = self.shown();
         let (s, c) = theta.sin_cos();
         let load = self.p.get(P::OnAcceleration) * (self.terms.gravity[0] * c + self.terms.gravity[1] * s);
         (harmonics(&self.terms.runout, theta), load)

@@ -4,6 +4,10 @@
 //! The whole table, three sizes of each effect, is in docs/round-trip.md; this prints it:
 //! `cargo test --release -p twum-tests --test round_trip -- --ignored --nocapture --test-threads 1 | grep '^|'`
 
+mod mirror;
+mod own_effect;
+
+use mirror::{DUTIES, Design, FLAVOUR, difference, measurement, traces};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use twum_host::compare::simulation::compare;
@@ -15,14 +19,9 @@ use twum_host::diagnose::saved::file;
 use twum_host::diagnose::{Details, Options, diagnose};
 use twum_host::model::effects::{EffectInfo, EffectSet, info};
 use twum_host::model::motor::Motor;
-use twum_host::model::motor_plant::{History, Solver};
-use twum_host::model::parameters::{Flavour, Parameters};
-use twum_host::model::plant::Direction as Sense;
-use twum_host::model::simulate::{PlantModel, Program, Trace, simulate};
-use twum_host::record::measurement::{Direction, Format, Measurement, Run, RunData, RunKind};
+use twum_host::model::parameters::Parameters;
+use twum_host::record::measurement::Measurement;
 
-const FLAVOUR: Flavour = Flavour::Physical;
-const EDGES: u32 = 400;
 /// Root mean square over the runs by which the mean speeds of the saved model may differ from the data's, as a share of the root
 /// mean square speed: twice the half per cent of the speed below which nothing is named, and as much again for the start of each
 /// pulse, which rotor equation and motor model do not make quite alike.
@@ -136,90 +135,6 @@ fn cases() -> Vec<Case> {
     ]
 }
 
-/// The runs of an experiment.
-#[derive(Clone, Copy)]
-struct Design {
-    duties: &'static [f64],
-    trials: usize,
-    seconds: f64,
-}
-
-/// Over the whole range, in no order.
-const DUTIES: &[f64] = &[0.5, 0.18, 0.83, 1.0, 0.33, 0.66];
-
-fn order(design: Design) -> Vec<(f64, Sense)> {
-    (0..design.trials)
-        .flat_map(|trial| design.duties.iter().enumerate().map(move |(k, duty)| (trial + k, *duty)))
-        .flat_map(|(k, duty)| {
-            let senses = if k % 2 == 0 { [Sense::Cw, Sense::Ccw] } else { [Sense::Ccw, Sense::Cw] };
-            senses.map(|sense| (duty, sense))
-        })
-        .collect()
-}
-
-/// One run after the other, each with what the motor remembers of those before.
-fn traces(design: Design, parameters: Parameters, effects: &EffectSet) -> Vec<Trace> {
-    let model = PlantModel::Motor { parameters, flavour: FLAVOUR, solver: Solver::Averaged };
-    let mut history = History::default();
-    order(design)
-        .into_iter()
-        .enumerate()
-        .map(|(k, (duty, sense))| {
-            let mut program = Program::constant(duty, sense, design.seconds, design.seconds + 0.15);
-            program.edges_per_rev = EDGES;
-            program.encoder_phase_rad = std::f64::consts::TAU / f64::from(EDGES) * (k as f64 * 0.618).fract();
-            let trace = simulate(&program, &model, effects, history);
-            history = trace.history;
-            trace
-        })
-        .collect()
-}
-
-/// The line as sampled once a millisecond.
-fn levels(trace: &Trace) -> RunData {
-    let (mut level, mut next) = (trace.initial, 0);
-    let levels = (0..(trace.end_s * 1e3) as usize)
-        .map(|n| {
-            while next < trace.edges.len() && trace.edges[next].time_s <= n as f64 * 1e-3 {
-                level = trace.edges[next].level;
-                next += 1;
-            }
-            level
-        })
-        .collect();
-    RunData::Levels { start_us: 0.0, period_us: 1000.0, levels }
-}
-
-fn measurement(design: Design, traces: &[Trace]) -> Measurement {
-    let runs = order(design)
-        .into_iter()
-        .zip(traces)
-        .enumerate()
-        .map(|(k, ((duty, sense), trace))| Run {
-            id: format!("r{k:02}"),
-            kind: RunKind::Speed,
-            file: String::new(),
-            format: Format::Levels,
-            duty: Some(duty),
-            direction: Some(if sense == Sense::Cw { Direction::Cw } else { Direction::Ccw }),
-            pwm_hz: 50.0,
-            drive_on_s: Some(design.seconds),
-            pwm_phase_s: 0.0,
-            aligned: false,
-            order: Some(k as u32),
-            control: None,
-            data: levels(trace),
-        })
-        .collect();
-    Measurement {
-        name: "mirror".into(),
-        motor: "pcbmotor-30mm".into(),
-        edges_per_rev: EDGES,
-        runs,
-        folder: "mirror".into(),
-    }
-}
-
 /// Typical values of an effect, its size `factor` times as large.
 fn values(info: &EffectInfo, factor: f64) -> Vec<f64> {
     let mut values: Vec<f64> = info.parameters.iter().map(|p| p.typical).collect();
@@ -291,9 +206,7 @@ fn round_trip(case: &Case, factor: f64, design: Design) -> Row {
         return row;
     }
     let replayed = traces(design, saved.parameters(FLAVOUR), &saved.effects());
-    let mean = |t: &Trace| t.edges.len() as f64 / t.end_s;
-    let squares: f64 = made.iter().zip(&replayed).map(|(a, b)| (mean(b) - mean(a)).powi(2)).sum();
-    row.repeated = (squares / made.iter().map(|a| mean(a).powi(2)).sum::<f64>()).sqrt();
+    row.repeated = difference(&made, &replayed);
     if row.repeated.is_nan() || row.repeated > REPEATED {
         row.missed.push(format!("saved model {:.1} % off", 100.0 * row.repeated));
     }
@@ -440,7 +353,7 @@ fn naming(name: &str) -> Diagnosis {
         probability: Some(0.99),
         share: 0.5,
         note: String::new(),
-        says: ("", ""),
+        says: Default::default(),
     });
     d
 }

@@ -1,0 +1,333 @@
+//! An effect of the user's own: where it acts, a formula over what the motor does, and the numbers in it.
+//!
+//! ```toml
+//! [effects.mine]
+//! says = "the drive weakens in the first seconds, the more the harder it is driven"   # optional
+//! acts_on = "speed"                            # speed, torque, braking or duty
+//! change = "-a*duty*(1 - exp(-time_s/tau))"    # relative; of the duty, what is added to it
+//!
+//! [effects.mine.numbers]
+//! a = { typical = 0.1, min = 0.0, max = 0.5 }  # a size: where all sizes are 0, nothing changes
+//! tau = { start = 1.0, min = 0.1, max = 20.0 } # a number of the form
+//! ```
+//!
+//! A diagnosis fits the numbers; the file that it saves holds the `value` of each, and simulates.
+
+mod file;
+#[cfg(test)]
+mod tests;
+
+use exmex::{Express, FlatEx, FloatOpsFactory, MatchLiteral, literal_matcher_from_pattern};
+use serde::Serialize;
+use std::sync::Arc;
+
+/// The name of a user's own effect, in files and in answers.
+pub const NAME: &str = "mine";
+
+/// What a formula may hang on, in the order of [`Now::array`].
+pub const VARIABLES: [(&str, &str); 7] = [
+    ("duty", "commanded duty of the running PWM period"),
+    ("time_s", "time since the drive began"),
+    ("on_s", "time with the drive on since then"),
+    ("turned_rad", "angle of the encoder's shaft since the record began"),
+    ("speed_rad_s", "speed of the rotor"),
+    ("direction", "1 or -1"),
+    ("revolutions", "turned in all runs so far, either way"),
+];
+
+/// Most numbers in a formula: more than four cannot be told apart by the runs of a bench.
+pub const MOST_NUMBERS: usize = 4;
+literal_matcher_from_pattern!(Decimal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?");
+
+/// A formula as it is evaluated; its numbers may have an exponent.
+type Formula = FlatEx<f64, FloatOpsFactory<f64>, Decimal>;
+
+/// Longest formula in characters: its parser calls itself for every parenthesis.
+const LONGEST: usize = 500;
+/// A change beyond which the formula is no small correction of the model, which is bounded there (1).
+const LARGEST_CHANGE: f64 = 3.0;
+
+/// The state of the motor that a formula sees.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Now {
+    /// Commanded duty.
+    pub duty: f64,
+    /// Time since the drive began in s.
+    pub time_s: f64,
+    /// Time with the drive on since then in s.
+    pub on_s: f64,
+    /// Angle since the record began in rad.
+    pub turned_rad: f64,
+    /// Speed in rad/s.
+    pub speed_rad_s: f64,
+    /// 1 or −1.
+    pub direction: f64,
+    /// Turned in all runs so far.
+    pub revolutions: f64,
+}
+
+impl Now {
+    fn array(&self) -> [f64; VARIABLES.len()] {
+        [self.duty, self.time_s, self.on_s, self.turned_rad, self.speed_rad_s, self.direction, self.revolutions]
+    }
+}
+
+/// What a change is a change of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ActsOn {
+    /// The speed that the wave draws the rotor to, relative.
+    Speed,
+    /// The torque of the contact under drive, relative.
+    Torque,
+    /// The braking without a wave, relative.
+    Braking,
+    /// The duty that reaches the driver: added to the commanded one.
+    Duty,
+}
+
+impl ActsOn {
+    const ALL: [(&str, Self); 4] =
+        [("speed", Self::Speed), ("torque", Self::Torque), ("braking", Self::Braking), ("duty", Self::Duty)];
+}
+
+/// What a number of the formula is.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// It makes the size of the effect: 0 is none, and this much is plausible.
+    Typical(f64),
+    /// It makes its form, above 0: this is where a search begins.
+    Start(f64),
+}
+
+/// A number of the formula.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Number {
+    /// Its name there.
+    pub name: String,
+    /// What it is.
+    pub role: Role,
+    /// Least admissible value.
+    pub min: f64,
+    /// Largest one.
+    pub max: f64,
+}
+
+impl Number {
+    fn is_size(&self) -> bool {
+        matches!(self.role, Role::Typical(_))
+    }
+}
+
+/// A formula, where it acts, and what is known of its numbers.
+#[derive(Debug, Clone)]
+pub struct Hypothesis {
+    /// A sentence for the answer.
+    pub says: String,
+    /// Where it acts.
+    pub acts_on: ActsOn,
+    /// The formula.
+    pub change: String,
+    /// Its numbers, sizes first.
+    pub numbers: Vec<Number>,
+    formula: Formula,
+    /// Where each variable of the formula stands: among [`VARIABLES`], and behind them the numbers.
+    places: Vec<usize>,
+}
+
+impl PartialEq for Hypothesis {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.says, self.acts_on, &self.change, &self.numbers)
+            == (&other.says, other.acts_on, &other.change, &other.numbers)
+    }
+}
+
+impl Hypothesis {
+    /// # Errors
+    /// Says in words what will not do: a formula that cannot be read or hangs on what is not there, numbers without a size, a change that
+    /// is there without its sizes or is no number.
+    pub fn new(says: &str, acts_on: ActsOn, change: &str, mut numbers: Vec<Number>) -> Result<Self, String> {
+        if change.chars().count() > LONGEST {
+            return Err(format!("has a formula of more than {LONGEST} characters"));
+        }
+        numbers.sort_by_key(|n| !n.is_size());
+        let formula = Formula::parse(&signs(change)?).map_err(|e| format!("has a formula that cannot be read: {e}"))?;
+        let place = |name: &String| {
+            let variable = VARIABLES.iter().position(|v| v.0 == name);
+            variable.or_else(|| numbers.iter().position(|n| n.name == *name).map(|k| VARIABLES.len() + k)).ok_or_else(
+                || {
+                    let known: Vec<&str> =
+                        VARIABLES.iter().map(|v| v.0).chain(numbers.iter().map(|n| n.name.as_str())).collect();
+                    format!(
+                        "has a formula with `{name}`, which is neither a variable nor among its numbers: {}",
+                        known.join(", ")
+                    )
+                },
+            )
+        };
+        let places = formula.var_names().iter().map(place).collect::<Result<Vec<_>, _>>()?;
+        let unused = |k: &usize| !places.contains(&(VARIABLES.len() + k));
+        if let Some(k) = (0..numbers.len()).find(unused) {
+            return Err(format!("has a number `{}` that its formula does not hold", numbers[k].name));
+        }
+        let hypothesis = Self { says: says.to_owned(), acts_on, change: change.to_owned(), numbers, formula, places };
+        hypothesis.check()?;
+        Ok(hypothesis)
+    }
+
+    /// What the formula and its numbers have to be whatever the motor does.
+    fn check(&self) -> Result<(), String> {
+        if self.numbers.len() > MOST_NUMBERS {
+            return Err(format!("has {} numbers: {MOST_NUMBERS} at most", self.numbers.len()));
+        }
+        for n in &self.numbers {
+            let (name, min, max) = (&n.name, n.min, n.max);
+            if VARIABLES.iter().any(|v| v.0 == name) {
+                return Err(format!("has a number `{name}`, which is the name of a variable"));
+            }
+            let fits = match n.role {
+                Role::Typical(size) => {
+                    min <= 0.0 && max >= 0.0 && min < max && size != 0.0 && (min..=max).contains(&size)
+                }
+                Role::Start(start) => 0.0 < min && min < max && (min..=max).contains(&start),
+            };
+            if !fits {
+                return Err(format!(
+                    "has a number `{name}` whose bounds will not do: of a size, min ≤ 0 ≤ max with `typical` between them and not 0; \
+                     of the form, 0 < min < max with `start` between them"
+                ));
+            }
+        }
+        if !self.numbers.iter().any(Number::is_size) {
+            return Err("has no size: of one number at least, `typical` is to be given".to_owned());
+        }
+        if self.acts_on == ActsOn::Duty {
+            let known = ["duty", "direction"];
+            if let Some(other) = self.hangs_on().find(|v| !known.contains(v)) {
+                return Err(format!(
+                    "acts on the duty and hangs on `{other}`; what the driver makes of a duty may hang on {}",
+                    known.join(", ")
+                ));
+            }
+        }
+        self.check_values()
+    }
+
+    /// Whether the change is a number wherever the motor may be, and none without its sizes.
+    fn check_values(&self) -> Result<(), String> {
+        let at = |n: &Number, share: f64| match n.role {
+            Role::Typical(size) => size * share,
+            Role::Start(_) => n.min + share * (n.max - n.min),
+        };
+        for now in places() {
+            for share in [0.0, 0.3, 1.0] {
+                let values: Vec<f64> = self.numbers.iter().map(|n| at(n, share)).collect();
+                let change = self.raw(&values, &now);
+                if !change.is_finite() {
+                    return Err(format!("has a formula that is no number at {now:?} with {values:?}"));
+                }
+                let without: Vec<f64> =
+                    self.numbers.iter().map(|n| if n.is_size() { 0.0 } else { at(n, share) }).collect();
+                let left = self.raw(&without, &now);
+                if left.abs() > 1e-12 {
+                    return Err(format!(
+                        "has a formula that is {left} where its sizes are 0, at {now:?}: it must be 0 there"
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn raw(&self, values: &[f64], now: &Now) -> f64 {
+        let now = now.array();
+        let mut variables = [0.0; VARIABLES.len() + MOST_NUMBERS];
+        for (to, place) in variables.iter_mut().zip(&self.places) {
+            *to = if *place < now.len() { now[*place] } else { values[*place - now.len()] };
+        }
+        self.formula.eval(&variables[..self.places.len()]).unwrap_or(f64::NAN)
+    }
+
+    /// The change with these values of [`Self::numbers`]; none where it is no number.
+    pub fn change(&self, values: &[f64], now: &Now) -> f64 {
+        let change = self.raw(values, now);
+        if change.is_finite() { change.clamp(-LARGEST_CHANGE, LARGEST_CHANGE) } else { 0.0 }
+    }
+
+    /// Whether it acts at all with these values.
+    pub fn is_there(&self, values: &[f64]) -> bool {
+        self.numbers.iter().zip(values).any(|(n, v)| n.is_size() && *v != 0.0)
+    }
+
+    /// The variables in its formula.
+    pub fn hangs_on(&self) -> impl Iterator<Item = &'static str> + '_ {
+        self.places.iter().filter_map(|p| VARIABLES.get(*p)).map(|v| v.0)
+    }
+
+    /// Whether nothing in its formula changes between two equal periods of a steady drive.
+    pub fn is_steady(&self) -> bool {
+        self.hangs_on().all(|v| matches!(v, "duty" | "direction"))
+    }
+}
+
+/// The formula with the signs that stand alone as factors: the parser takes them before a power, and everybody else after it.
+fn signs(change: &str) -> Result<String, String> {
+    let mut out = String::with_capacity(change.len());
+    let mut before = '(';
+    for c in change.chars() {
+        match (before, c) {
+            ('(' | ',', '-') => out.push_str("(-1)*"),
+            ('(' | ',', '+') => {}
+            ('+' | '-' | '*' | '/' | '^', '+' | '-') => {
+                return Err(format!(
+                    "has a formula with the sign `{c}` right after `{before}`: put what it belongs to in parentheses"
+                ));
+            }
+            _ => out.push(c),
+        }
+        if !c.is_whitespace() {
+            before = c;
+        }
+    }
+    Ok(out)
+}
+
+/// Where a formula is tried before it is believed: over what motors of the kind do.
+fn places() -> impl Iterator<Item = Now> {
+    let shares = [0.0, 0.02, 0.37, 1.0];
+    (0..shares.len().pow(3) as u32).flat_map(move |k| {
+        let at = |digit: u32| shares[(k / 4_u32.pow(digit) % 4) as usize];
+        [1.0, -1.0].map(|direction| Now {
+            duty: at(0),
+            time_s: 100.0 * at(1),
+            on_s: 100.0 * at(1) * at(0),
+            turned_rad: direction * 600.0 * at(2),
+            speed_rad_s: direction * 10.0 * at(2),
+            direction,
+            revolutions: 1000.0 * at(2),
+        })
+    })
+}
+
+/// A hypothesis with the values of its numbers: an effect that a motor has.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mine {
+    /// The formula.
+    pub hypothesis: Arc<Hypothesis>,
+    /// Values of its numbers, in their order.
+    pub values: Vec<f64>,
+    /// Relative change of the supply's voltage for one of the speed (1): what a change of the speed is simulated by.
+    pub voltage_per_speed: f64,
+}
+
+impl Mine {
+    /// The change now, of what `acts_on`; 0 for anything else.
+    pub fn change_of(&self, what: ActsOn, now: &Now) -> f64 {
+        if self.hypothesis.acts_on == what && self.hypothesis.is_there(&self.values) {
+            self.hypothesis.change(&self.values, now)
+        } else {
+            0.0
+        }
+    }
+}

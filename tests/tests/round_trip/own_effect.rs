@@ -1,0 +1,91 @@
+//! An effect that only its user knows: a formula, searched for like those of the library, saved and simulated.
+
+use super::mirror::{DUTIES, Design, FLAVOUR, difference, measurement, traces};
+use std::sync::Arc;
+use twum_host::diagnose::answer::Diagnosis;
+use twum_host::diagnose::motor::free_speed;
+use twum_host::diagnose::saved::file;
+use twum_host::diagnose::{Details, Options, diagnose};
+use twum_host::model::effects::EffectSet;
+use twum_host::model::hypothesis::{Hypothesis, Mine};
+use twum_host::model::motor::Motor;
+use twum_host::model::parameters::Parameters;
+
+/// A supply that swings slowly: the library has nothing that comes and goes.
+const SWING: &str = r#"
+[effects.mine]
+says = "the supply swings"
+acts_on = "speed"
+change = "depth*sin(2*PI*time_s/period)"
+[effects.mine.numbers]
+depth = { typical = 0.1, min = -0.5, max = 0.5 }
+period = { start = 0.7, min = 0.4, max = 1.2 }
+"#;
+
+/// A driver that gives less in one direction, the more the harder it is driven.
+const LOPSIDED: &str = r#"
+[effects.mine]
+acts_on = "duty"
+change = "-loss*duty*(1 + direction)/2"
+[effects.mine.numbers]
+loss = { typical = 0.1, min = -0.5, max = 0.5 }
+"#;
+
+fn hidden(text: &str, values: &[f64]) -> EffectSet {
+    let hypothesis = Arc::new(Hypothesis::parse("mine.toml", text).expect("the formula can be read"));
+    let mine = Mine { hypothesis, values: values.to_vec(), voltage_per_speed: 1.0 };
+    EffectSet { mine: Some(mine), ..EffectSet::default() }
+}
+
+/// Relative change of the motor's speed over one of its voltage.
+fn speed_per_voltage() -> f64 {
+    let p = Motor::pcbmotor_30mm().parameters(FLAVOUR);
+    let speed = |volts: f64| free_speed(Parameters { force_factor_n_v: volts * p.force_factor_n_v, ..p }, FLAVOUR);
+    (speed(1.1) - speed(0.9)) / 0.2 / speed(1.0)
+}
+
+fn asked(effects: &EffectSet, mine: Option<&str>) -> (Diagnosis, Details, f64) {
+    let design = Design { duties: DUTIES, trials: 2, seconds: 1.5 };
+    let motor = Motor::pcbmotor_30mm();
+    let made = traces(design, motor.parameters(FLAVOUR), effects);
+    let options = Options {
+        motor: Some(motor.parameters(FLAVOUR)),
+        mine: mine.map(|text| Arc::new(Hypothesis::parse("mine.toml", text).expect("the formula can be read"))),
+        ..Options::default()
+    };
+    let (d, details) = diagnose(&[measurement(design, &made)], &options, &|_, _| {}).expect("there is something");
+    let details = details.expect("the runs can be used");
+    let Details::Runs { problem, outcome } = &details else { panic!("they are a TWUM's") };
+    let text = file(&motor, FLAVOUR, &outcome.extended, problem, &d).expect("it can be written");
+    let saved =
+        Motor::parse("saved.toml", &text).unwrap_or_else(|e| panic!("a saved model is a motor file: {e}\n{text}"));
+    let replayed = traces(design, saved.parameters(FLAVOUR), &saved.effects());
+    (d, details, difference(&made, &replayed))
+}
+
+/// Fails if the formula is not searched for, acts otherwise in the search than in the motor model, or is lost when it is saved.
+#[test]
+fn a_formula_of_ones_own_is_found_saved_and_repeats_the_data() {
+    for (text, values, number) in [(SWING, &[0.1, 0.65][..], "depth"), (LOPSIDED, &[0.2], "loss")] {
+        let effects = hidden(text, values);
+        let (d, _, off) = asked(&effects, Some(text));
+        assert_eq!(d.named(), ["mine"], "{number}: {}", twum_host::diagnose::answer::text(&d));
+        let found = &d.effects[0].parameters[number];
+        // Of a hidden voltage the speed shows less.
+        let size = values[0] * if number == "depth" { speed_per_voltage() } else { 1.0 };
+        assert!((found.value / size - 1.0).abs() < 0.1, "{number}: {found:?}, hidden {size}");
+        assert!(off < super::REPEATED, "the saved model is {off} off");
+        let (without, ..) = asked(&effects, None);
+        assert!(
+            without.extended.rmse_speed_rpm > d.extended.rmse_speed_rpm,
+            "the library has what was to be new to it"
+        );
+    }
+}
+
+/// Fails if a formula that acts on nothing in the data is called a cause.
+#[test]
+fn a_formula_that_the_data_do_not_show_is_no_cause() {
+    let (d, ..) = asked(&EffectSet::default(), Some(SWING));
+    assert!(d.suspected().is_empty(), "{:?}", d.suspected());
+}
