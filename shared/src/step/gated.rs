@@ -14,6 +14,7 @@ use crate::Direction;
 /// An overshoot by so many ticks of full drive is left to the target to catch up with: a shortest pulse the other way, and what
 /// the rotor runs on after it, would turn by as much.
 const REVERSES_TICKS: i32 = 4;
+
 /// One tick of a controller that gates the drive.
 #[inline(always)]
 pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outputs {
