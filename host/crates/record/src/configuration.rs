@@ -3,14 +3,14 @@
 //! [`to_toml`] and [`overlay`] are exact: what is written and read again is the same configuration, bit for bit. A gain is
 //! written as the number that reads back as itself, and as text where no floating-point number does.
 
-use crate::input;
-use crate::record::measurement::{ControlError, ControlSpec};
+use crate::measurement::{ControlError, ControlSpec};
 use fixed::types::{I16F48, I32F32};
 use std::fmt::{Display, Write as _};
 use std::path::Path;
 use std::str::FromStr;
 use thiserror::Error;
 use toml::{Table, Value};
+use twum_files::input;
 use twum_shared::encoder::CountSign;
 use twum_shared::message::Configuration;
 use twum_shared::safety::Limits;
@@ -131,24 +131,27 @@ pub fn to_toml(configuration: &Configuration) -> String {
          # kd_tick a count/tick, feed_forward a count/s. A tick is period_us long. [control] may also be `control = \"thesis\"`,\n\
          # `\"default\"`, `\"gated\"` or `\"planned\"`. What is left out stays as the board has it.\n",
     );
-    for (table, rows) in tables(configuration) {
-        if !table.is_empty() {
-            let _ = writeln!(text, "\n[{table}]");
-        }
-        for (key, value) in rows {
-            let _ = writeln!(text, "{key} = {value}");
-        }
+    let [bench, control, limits] = tables(configuration);
+    write_rows(&mut text, &bench.1);
+    for (table, rows) in [control, limits] {
+        let _ = writeln!(text, "\n[{table}]");
+        write_rows(&mut text, &rows);
     }
     text
 }
 
 /// A controller as a file, which [`controller`] reads: its table `[control]`, every key.
 pub fn control_toml(control: &ConfigSpec) -> String {
-    let mut text = "[control]\n".to_owned();
-    for (key, value) in &tables(&Configuration::with_control(*control))[1].1 {
+    let [_, (table, rows), _] = tables(&Configuration::with_control(*control));
+    let mut text = format!("[{table}]\n");
+    write_rows(&mut text, &rows);
+    text
+}
+
+fn write_rows(text: &mut String, rows: &[(String, Value)]) {
+    for (key, value) in rows {
         let _ = writeln!(text, "{key} = {value}");
     }
-    text
 }
 
 /// `base` with what a text says.
