@@ -104,7 +104,7 @@ const SECONDS: f64 = 10.0;
 
 fn study(motor: &Motor, draws: u64) -> Study<'_> {
     let target = Target::Sine { amplitude: 89, omega_rad_s: 1.257 };
-    Study { motor, target, load: 0.0, seconds: SECONDS, draws, seed: 1 }
+    Study { motor, target, load: 0.0, hand: None, seconds: SECONDS, draws, seed: 1 }
 }
 
 /// Mean amount of the counted error of a run of the thesis's sine (deg), on a board that goes on from where it was.

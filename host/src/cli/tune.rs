@@ -103,6 +103,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         motor: &motor,
         target: Target::Sine { amplitude: args.amplitude, omega_rad_s: args.omega },
         load: 0.0,
+        hand: None,
         seconds: args.seconds,
         draws: args.draws,
         seed: args.seed,
