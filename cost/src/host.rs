@@ -11,7 +11,7 @@ use twum_shared::frame::MAX_ENCODED;
 use twum_shared::message::{BLOCK_SAMPLES, DeviceMessage};
 use twum_shared::reference::Reference;
 use twum_shared::stall::Stall;
-use twum_shared::step::{Config, ConfigSpec, DriveLaw, Inputs, Outputs, State};
+use twum_shared::step::{Config, ConfigSpec, DriveLaw, GuideSpec, Inputs, Outputs, State};
 
 const USAGE: &str = "usage: twum-cost instructions GUEST\n       twum-cost binary FIRMWARE\n\n\
     `instructions` runs GUEST, this program built for riscv32imc-unknown-none-elf, in qemu-system-riscv32 (Debian:\n\
@@ -27,7 +27,15 @@ const LONGER_LIMIT: u32 = 8_000;
 /// Random controllers that wait with a reversal: under the longer limit.
 const WAITING: &str = "random, waiting";
 /// A drive that is gated by a model of the rotor, and random ones: likewise.
-const GATED: [&str; 3] = ["gated", "planned", "random, gated"];
+const GATED: [&str; 4] = ["gated", "planned", "guided", "random, gated"];
+/// A target that gives way by a count for 5 µN·m, within half a second.
+const GUIDE: GuideSpec = GuideSpec {
+    limit_counts: 60,
+    stiffness_nnm: 5_000,
+    damping_nnm_s: 2_500,
+    dead_band_nnm: 40_000,
+    braking_nnm: 197_000,
+};
 /// How many times more the doubles must cost.
 const RATIO_LIMIT: f64 = 10.0;
 /// Random controllers, and random ticks of each: more than a million steps.
@@ -72,6 +80,7 @@ fn measure(guest: &Path) -> io::Result<bool> {
         recorded("default", ConfigSpec::DEFAULT),
         recorded(GATED[0], ConfigSpec::GATED),
         recorded(GATED[1], ConfigSpec::PLANNED),
+        recorded(GATED[2], ConfigSpec { guide: GUIDE, ..ConfigSpec::PLANNED }),
     ];
     let mut pcg = Pcg(1);
     runs.extend((0..RANDOM.0).map(|index| random(&mut pcg, index % 2 == 1)));
@@ -352,11 +361,14 @@ fn random_gated(pcg: &mut Pcg) -> Run {
             pulse_period_ticks: (1 + pcg.next() % 2 * (pcg.next() % 40)) as u8,
             ..ConfigSpec::GATED
         };
+        // Where there is one pulse a period, the target may give way.
+        let gives_way = spec.pulse_period_ticks > 1 && pcg.coin();
+        let spec = ConfigSpec { guide: if gives_way { GUIDE } else { GuideSpec::OFF }, ..spec };
         if let Ok(config) = Config::try_from(spec) {
             break config;
         }
     };
-    Run { name: GATED[2], inputs: walks(pcg), config, telemetry: false }
+    Run { name: GATED[3], inputs: walks(pcg), config, telemetry: false }
 }
 
 fn walks(pcg: &mut Pcg) -> Vec<Inputs> {

@@ -14,7 +14,7 @@ use sequential_storage::map::{MapConfig, MapStorage};
 use twum_shared::message::Configuration;
 
 /// Changes with every change of [`Configuration`], or of what its numbers mean.
-const VERSION: u8 = 4;
+const VERSION: u8 = 5;
 /// Longest record, and room to align it.
 const BUFFER: usize = 256;
 static CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);

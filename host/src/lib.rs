@@ -2,7 +2,6 @@
 //! demonstration. The `twum` command stands on it; the crates below are given on under the names of what they hold.
 
 pub mod compare;
-pub mod configuration;
 pub mod demo;
 pub mod live;
 pub mod origin;
@@ -19,5 +18,6 @@ pub use twum_instruments as instruments;
 pub use twum_motor as model;
 pub use twum_neck as neck;
 pub use twum_record as record;
+pub use twum_record::configuration;
 pub use twum_signal as signal;
 pub use twum_tune as tune;

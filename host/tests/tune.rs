@@ -9,7 +9,8 @@ use twum_host::link::{Session, SimulatedLink};
 use twum_host::model::effects::EffectSet;
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
-use twum_host::model::robust::stream;
+use twum_host::model::robust::{Study, Target, stream};
+use twum_host::model::uncertainty::Band;
 use twum_host::record::load::load_runs;
 use twum_host::record::measurement::{self, Measurement, RunData};
 use twum_host::record::series::speed_run;
@@ -17,7 +18,7 @@ use twum_host::sim::Setup;
 use twum_host::tune::design::BANDWIDTH_RAD_S;
 use twum_host::tune::fit::identify;
 use twum_host::tune::plan::plan;
-use twum_host::tune::predict::{Question, Tuned, tune};
+use twum_host::tune::predict::{Tuned, tune};
 use twum_shared::Direction;
 use twum_shared::message::{CaptureMode, Configuration, TrackRun};
 use twum_shared::reference::Reference;
@@ -101,16 +102,9 @@ fn measured(session: &mut Session<SimulatedLink>, folder: &Path) -> Measurement 
 
 const SECONDS: f64 = 10.0;
 
-fn question(motor: &Motor, draws: u64) -> Question<'_> {
-    Question {
-        motor,
-        amplitude: 89,
-        omega_rad_s: 1.257,
-        seconds: SECONDS,
-        draws,
-        seed: 1,
-        bandwidth_rad_s: BANDWIDTH_RAD_S,
-    }
+fn study(motor: &Motor, draws: u64) -> Study<'_> {
+    let target = Target::Sine { amplitude: 89, omega_rad_s: 1.257 };
+    Study { motor, target, load: 0.0, hand: None, seconds: SECONDS, draws, seed: 1 }
 }
 
 /// Mean amount of the counted error of a run of the thesis's sine (deg), on a board that goes on from where it was.
@@ -146,7 +140,7 @@ fn coverage(motors: &[Hidden], runs: usize, draws: u64) -> (usize, usize, String
             let mut session = board(hidden);
             let measurement = measured(&mut session, folder.path());
             let identified = identify(&measurement, &motor, 1).unwrap();
-            let tuned = tune(&identified, &question(&motor, draws)).unwrap();
+            let tuned = tune(&identified, &study(&motor, draws), BANDWIDTH_RAD_S).unwrap();
             // The rotor starts each run from where a turn by chance left it.
             let mut chance = stream(7, 0);
             let path = folder.path().join("run.mcap");
@@ -214,7 +208,7 @@ fn the_motor_is_identified_and_what_cannot_be_is_refused() {
     let motor = Motor::pcbmotor_30mm();
     let identified = identify(&measurement, &motor, 1).unwrap();
     assert_eq!(identified.flavour, hidden.1);
-    let inside = |e: twum_host::tune::fit::Estimate, value: f64| (e.ci95[0]..e.ci95[1]).contains(&value);
+    let inside = |e: Band, value: f64| (e.ci95[0]..e.ci95[1]).contains(&value);
     let truth_nm = hidden.3 * motor.parameters(hidden.1).off_friction_nm(hidden.1);
     assert!(inside(identified.braking_nm, truth_nm), "{:?} for {truth_nm}", identified.braking_nm);
     let full = identified.runs.iter().filter(|run| run.duty == 1.0);
@@ -222,7 +216,7 @@ fn the_motor_is_identified_and_what_cannot_be_is_refused() {
         let of = if run.rpm > 0.0 { identified.full_cw_rpm } else { identified.full_ccw_rpm };
         assert!(inside(of, run.rpm.abs()), "{of:?} for {run:?}");
     });
-    assert!(identified.full_cw_rpm.value > identified.full_ccw_rpm.value);
+    assert!(identified.full_cw_rpm.median > identified.full_ccw_rpm.median);
     // The motor's file says the same again, and nothing of what the runs do not tell.
     let file = identified.motor(&motor, "a test");
     let again = Motor::parse("again", &file.to_toml().unwrap()).unwrap();
@@ -271,9 +265,13 @@ fn the_files_are_taken_and_gains_that_swing_are_not() {
         let text = std::fs::read_to_string(folder.join("own").join(format!("{name}.toml"))).unwrap();
         assert!(text.contains("# foretold for") && text.contains("seed 1"), "{text}");
     }
-    let simulated =
-        twum(folder, "model loop --motor own/motor.toml --flavour measured --control own/default.toml --seconds 2");
-    assert!(simulated.status.success(), "{}", said(&simulated));
+    for simulated in [
+        "model loop --motor own/motor.toml --flavour measured --control own/default.toml --seconds 2",
+        "neck --motor own/motor.toml --flavour measured --control own/default.toml --exercise rotation",
+    ] {
+        let simulated = twum(folder, simulated);
+        assert!(simulated.status.success(), "{}", said(&simulated));
+    }
 
     let again = twum(folder, "tune first/measurement --save own --draws 10 --seconds 2");
     assert_eq!(again.status.code(), Some(2), "files that are there stay: {}", said(&again));
@@ -286,6 +284,10 @@ fn the_files_are_taken_and_gains_that_swing_are_not() {
     assert!(refused.status.code() == Some(2) && said(&refused).contains("unstable in the model"), "{}", said(&refused));
     let forced = twum(folder, "track --port sim --control bad.toml --seconds 0.2 --allow-unstable");
     assert!(!said(&forced).contains("unstable"), "{}", said(&forced));
+    let loaded = twum(folder, "config load --port sim bad.toml");
+    assert!(loaded.status.code() == Some(2) && said(&loaded).contains("unstable in the model"), "{}", said(&loaded));
+    let forced = twum(folder, "config load --port sim bad.toml --allow-unstable");
+    assert!(forced.status.success(), "{}", said(&forced));
     let warned = twum(folder, "model loop --control bad.toml --seconds 0.5");
     assert!(
         warned.status.success() && said(&warned).contains("warning: --control bad.toml: unstable"),

@@ -9,7 +9,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Version of the protocol. Another version is refused at the first frame.
-pub const PROTOCOL_VERSION: u8 = 6;
+pub const PROTOCOL_VERSION: u8 = 7;
 /// Longest frame before COBS, bytes.
 pub const MAX_PLAIN: usize = 680;
 /// Longest frame on the line, its separator included, bytes.
@@ -198,7 +198,7 @@ mod tests {
     use crate::message::*;
     use crate::reference::{Reference, WayPoint};
     use crate::safety::Limits;
-    use crate::step::{ConfigSpec, Reversal, Rotor, State};
+    use crate::step::{ConfigSpec, Load, Reversal, Rotor, State};
     use crate::{Direction, Duty, Fault};
     use proptest::prelude::*;
     use std::vec::Vec;
@@ -251,6 +251,8 @@ mod tests {
             fault: Some(Fault::BootFromWatchdog),
         };
         let reversal = Reversal { rest_left: u16::MAX, limit_left: u16::MAX, position: i32::MIN };
+        let load =
+            Load { pushes: i32::MIN, doubt: u16::MAX, speed_ticks: u16::MAX, place_ticks: u16::MAX, edges: u16::MAX };
         let rotor = Rotor {
             count: i32::MIN,
             place: i32::MIN,
@@ -264,8 +266,16 @@ mod tests {
             since: u8::MAX,
             driven: i32::MIN,
             coasted: i32::MIN,
+            load,
         };
-        let state = State { integral: i32::MIN, previous_error: i32::MIN, direction: Direction::Cw, reversal, rotor };
+        let state = State {
+            deviation: i32::MIN,
+            integral: i32::MIN,
+            previous_error: i32::MIN,
+            direction: Direction::Cw,
+            reversal,
+            rotor,
+        };
         std::vec![
             DeviceMessage::Hello(identity),
             DeviceMessage::Ack { of: u32::MAX },

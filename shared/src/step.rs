@@ -6,12 +6,18 @@
 //! pulse of that knowledge every 20 ms. All run through the same [`step`], and so does anything a user configures.
 
 mod gated;
+mod guide;
+mod load;
+#[cfg(test)]
+mod motor;
 mod planned;
 mod reversal;
 mod rotor;
 
 use crate::{Direction, Duty};
 use fixed::types::{I16F48, I32F32};
+pub use guide::GuideSpec;
+pub use load::Load;
 pub use reversal::Reversal;
 pub use rotor::Rotor;
 use serde::{Deserialize, Serialize};
@@ -68,6 +74,10 @@ pub struct ConfigSpec {
     pub shortest_pulse_ticks: u8,
     /// From one pulse's beginning to the next at least, control periods; at 1 a pulse begins and ends when it has to.
     pub pulse_period_ticks: u8,
+    /// Whether a model of the rotor is corrected by what is seen of it.
+    pub learns: bool,
+    /// How the target of a gated drive gives way to a load.
+    pub guide: GuideSpec,
 }
 
 impl ConfigSpec {
@@ -92,6 +102,8 @@ impl ConfigSpec {
         delay_ticks: 0,
         shortest_pulse_ticks: 0,
         pulse_period_ticks: 0,
+        learns: false,
+        guide: GuideSpec::OFF,
     };
 
     /// The recommended controller: finer duty, symmetric anti-windup, feed-forward of the target's rate, true off.
@@ -116,6 +128,8 @@ impl ConfigSpec {
         delay_ticks: 0,
         shortest_pulse_ticks: 0,
         pulse_period_ticks: 0,
+        learns: false,
+        guide: GuideSpec::OFF,
     };
 
     /// The 30 mm PCBMotor under a drive that is gated every control period, with pulses of 1 ms and more: 35 rpm at full drive,
@@ -137,6 +151,7 @@ impl ConfigSpec {
         delay_ticks: 2,
         shortest_pulse_ticks: 2,
         pulse_period_ticks: 1,
+        learns: true,
         ..Self::DEFAULT
     };
 
@@ -193,6 +208,13 @@ pub enum ConfigError {
          delay_ticks up to 8, shortest_pulse_ticks and pulse_period_ticks 1 to 40 and reversal_rest_ticks above 0"
     )]
     Rotor,
+    /// A target that gives way in a manner that fixed point cannot hold, or under a law that knows of no load.
+    #[error(
+        "a target gives way (guide_limit_counts, up to 256) under law gated with pulse_period_ticks above 1 only; guide_stiffness_nnm, \
+         guide_damping_nnm_s and guide_braking_nnm are 1 to 1000000000, guide_dead_band_nnm is below the braking, and \
+         stiffness over damping 0.04 to 1000 a second"
+    )]
+    Guide,
 }
 
 /// Names a gain in an error.
@@ -224,6 +246,7 @@ impl core::fmt::Display for GainName {
 pub struct Config {
     spec: ConfigSpec,
     model: rotor::Model,
+    admittance: guide::Admittance,
     /// A count/s in counts a tick, 2^-32.
     rate_of_one: u32,
 }
@@ -276,9 +299,14 @@ impl TryFrom<ConfigSpec> for Config {
             DriveLaw::Gated => rotor::Model::of(&spec).ok_or(ConfigError::Rotor)?,
             DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => rotor::Model::default(),
         };
+        let admittance = match spec.law {
+            DriveLaw::Gated => guide::Admittance::of(&spec, &model).ok_or(ConfigError::Guide)?,
+            _ if spec.guide.limit_counts > 0 => return Err(ConfigError::Guide),
+            _ => guide::Admittance::default(),
+        };
         // At most 10 000 µs: below 2^26.
         let rate_of_one = ((u64::from(spec.period_us) << 32) / 1_000_000) as u32;
-        Ok(Self { spec, model, rate_of_one })
+        Ok(Self { spec, model, admittance, rate_of_one })
     }
 }
 
@@ -295,6 +323,8 @@ pub struct State {
     pub reversal: Reversal,
     /// Where a law that has a model of the rotor believes it to be.
     pub rotor: Rotor,
+    /// How far a target that gives way is off its path, 2^-20 count.
+    pub deviation: i32,
 }
 
 impl State {
@@ -305,7 +335,16 @@ impl State {
         direction: Direction::Ccw,
         reversal: Reversal::REST,
         rotor: Rotor::REST,
+        deviation: 0,
     };
+
+    /// The load that a guided controller believes the rotor to bear, clockwise, nN·m; none where the estimate is worth nothing.
+    pub fn load_nnm(&self, config: &Config) -> Option<i32> {
+        let push = self.rotor.load.worth(self.rotor.braking).filter(|_| config.admittance.is_on())?;
+        let torque =
+            i64::from(push) * i64::from(config.spec.guide.braking_nnm) / i64::from(config.model.braking.max(1));
+        Some(torque.clamp(i32::MIN.into(), i32::MAX.into()) as i32)
+    }
 }
 
 /// What a tick sees.

@@ -8,19 +8,21 @@ use twum_shared::reference::Reference;
 use twum_shared::step::ConfigSpec;
 
 /// Made by the last program of that version: `twum track --port sim --control thesis --seconds 1.5 --out protocol-N.mcap`,
-/// of version 5 also with `--control gated`.
+/// of version 5 also with `--control gated`, of version 6 with `--control planned`.
 fn recording(version: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("data/protocol-{version}.mcap"))
 }
 
 /// Frames of the device, of the host, and in the file: what each program's own `twum replay` said of its recording.
-const FRAMES: [(&str, [u64; 3]); 6] = [
+const FRAMES: [(&str, [u64; 3]); 8] = [
     ("1", [267, 39, 306]),
     ("2", [261, 32, 293]),
     ("3", [261, 32, 293]),
     ("4", [261, 84, 345]),
     ("5", [259, 84, 343]),
     ("5-gated", [259, 84, 343]),
+    ("6", [259, 84, 343]),
+    ("6-planned", [259, 84, 343]),
 ];
 
 #[test]
@@ -38,11 +40,11 @@ fn recordings_of_earlier_versions_replay_bit_for_bit() {
 
 /// Fails when a field that a version had not is read from its bytes (what follows it would be another's), or when what stands in
 /// its place is not what that version did: the motor as slow as it might be in version 2, reversals at once in version 3, no model of the rotor in version 4, no period of
-/// pulses in version 5.
+/// pulses in version 5, no target that gives way in version 6.
 #[test]
 fn a_configuration_of_an_earlier_version_is_what_it_was() {
     let expected = Configuration::with_control(ConfigSpec::THESIS);
-    for version in ["2", "3", "4", "5"] {
+    for version in ["2", "3", "4", "5", "6"] {
         let mut decoder = Decoder::open(recording(version)).unwrap();
         let (mut set, mut in_force) = (0, 0);
         while let Some(item) = decoder.next_item().unwrap() {

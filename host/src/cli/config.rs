@@ -1,6 +1,7 @@
 //! `twum config`: the configuration a board holds, shown, written to a file, loaded from one, and compared with one; and the
 //! file of the user's own defaults.
 
+use super::configuration::UnstableArgs;
 use super::connect::ConnectArgs;
 use super::defaults;
 use super::output::answer;
@@ -51,6 +52,8 @@ enum Command {
         /// TOML file, or `-` for standard input
         #[arg(default_value = "-")]
         file: PathBuf,
+        #[command(flatten)]
+        unstable: UnstableArgs,
         /// Print what changed as JSON
         #[arg(long)]
         json: bool,
@@ -126,7 +129,7 @@ pub fn run(args: Args) -> Result<ExitCode> {
                 print!("{text}");
             }
         }
-        Command::Load { connect, file, json } => return load(&connect, &file, json),
+        Command::Load { connect, file, unstable, json } => return load(&connect, &file, unstable, json),
         Command::Path { json } => {
             let path = defaults::path()?;
             let exists = path.is_file();
@@ -157,7 +160,7 @@ fn changes<V: Display>(different: &[(String, V, V)], names: [&str; 2]) -> serde_
     different.iter().map(change).collect()
 }
 
-fn load(connect: &ConnectArgs, file: &Path, json: bool) -> Result<ExitCode> {
+fn load(connect: &ConnectArgs, file: &Path, unstable: UnstableArgs, json: bool) -> Result<ExitCode> {
     let text = read(file)?;
     if text.trim().is_empty() {
         bail!("{} is empty", name(file));
@@ -169,6 +172,7 @@ fn load(connect: &ConnectArgs, file: &Path, json: bool) -> Result<ExitCode> {
     session.hello()?;
     let before = session.configuration()?;
     let wanted = overlay(&before.unwrap_or(fallback), &text).with_context(|| name(file))?;
+    unstable.refuse(&wanted, connect.motor_args()).with_context(|| name(file))?;
     session.configure(wanted)?;
     let now = session.configuration()?.context("the board took the configuration and does not have it")?;
     if let Some((key, _, has)) = difference(&wanted, &now).into_iter().next() {

@@ -2,15 +2,14 @@
 
 use super::motor::MotorArgs;
 use super::{defaults, units};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use std::path::PathBuf;
 use twum_host::configuration::{choose, controller, overlay_only_limits, validate};
 use twum_host::input;
-use twum_host::tune::margins::{Rig, holds};
+use twum_host::tune::margins::refuse_unstable;
 use twum_shared::encoder::CountSign;
 use twum_shared::message::Configuration;
 use twum_shared::safety::Limits;
-use twum_shared::step::ConfigSpec;
 
 /// How to run the motor. What is not given is as the user's own defaults have it, or else as the board is configured; a board
 /// without a configuration gets the default.
@@ -83,29 +82,6 @@ impl ConfigurationArgs {
         Ok(configuration)
     }
 
-    /// Refuses a controller of a file that swings, or runs away, in every reading of the motor. What has a name was tried.
-    pub fn refuse_unstable(&self, motor: &MotorArgs) -> Result<()> {
-        let named = |control: &String| ConfigSpec::named(control).is_some();
-        let Some(control) = self.control.as_ref().filter(|control| !named(control)) else { return Ok(()) };
-        let spec = controller(control)?;
-        let mut swings = None;
-        for (motor, flavour) in motor.readings()? {
-            let mut rig = Rig::of(&motor, flavour);
-            rig.edges_per_rev = self.edges_per_rev.map_or(rig.edges_per_rev, u32::from);
-            rig.pwm_hz = self.pwm_hz.map(f64::from);
-            match holds(&rig, &spec)? {
-                Ok(()) => return Ok(()),
-                Err(found) => swings = swings.or(Some((motor.name, found))),
-            }
-        }
-        match swings {
-            Some((motor, swings)) => {
-                bail!("--control {control}: {swings} ({motor}); --allow-unstable runs it all the same")
-            }
-            None => Ok(()),
-        }
-    }
-
     fn limit(&self, limits: &mut Limits, edges_per_rev: u16) -> Result<()> {
         if let Some(bound) = &self.position_bound {
             (limits.position_min, limits.position_max) =
@@ -121,6 +97,24 @@ impl ConfigurationArgs {
         limits.stall_ms = self.stall.unwrap_or(limits.stall_ms);
         limits.command_timeout_ms = self.timeout.unwrap_or(limits.command_timeout_ms);
         Ok(())
+    }
+}
+
+/// Whether a controller that is unstable in the model may be had all the same.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct UnstableArgs {
+    /// Take a controller of one's own that is unstable in the model of the motor too
+    #[arg(long)]
+    allow_unstable: bool,
+}
+
+impl UnstableArgs {
+    /// Refuses a configuration whose controller swings, or runs away, in every reading of the motor.
+    pub fn refuse(self, configuration: &Configuration, motor: &MotorArgs) -> Result<()> {
+        if self.allow_unstable {
+            return Ok(());
+        }
+        refuse_unstable(configuration, &motor.readings()?).context("--allow-unstable takes it all the same")
     }
 }
 

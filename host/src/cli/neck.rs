@@ -14,9 +14,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::Solver;
-use twum_host::model::parameters::Flavour;
 use twum_host::model::uncertainty::Band;
-use twum_host::neck::control::Named;
+use twum_host::neck::control::Controller;
 use twum_host::neck::disturbance::Disturbance;
 use twum_host::neck::exercise::Exercise;
 use twum_host::neck::kinematics::{JOINTS, THESIS_LENGTH_M, Wrist};
@@ -81,9 +80,10 @@ struct RunArgs {
     motor: String,
     #[command(flatten)]
     flavour: FlavourArgs,
-    /// Controller [default: `thesis` with the thesis flavour, `default` otherwise]
-    #[arg(long, value_enum)]
-    control: Option<ControlArg>,
+    /// Controller, tuned for 400 edges a revolution: `thesis`, `default`, `gated`, `planned`, or a TOML file as for `twum track`
+    /// [default: `thesis` with the thesis flavour, `default` otherwise]
+    #[arg(long, value_name = "NAME|FILE")]
+    control: Option<String>,
     /// Motor model: the wave's envelope, or every one of its cycles (minutes an exercise)
     #[arg(long, value_enum, default_value_t = SolverArg::Averaged)]
     solver: SolverArg,
@@ -163,14 +163,6 @@ struct StudyArgs {
     /// Print the study file that is used when none is given
     #[arg(long)]
     example: bool,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum ControlArg {
-    Thesis,
-    Default,
-    Gated,
-    Planned,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -262,12 +254,8 @@ fn bands(args: &RunArgs, setup: &Setup, exercises: &[Exercise]) -> Result<Option
 
 fn setup(args: &RunArgs) -> Result<Setup> {
     let flavour = args.flavour.get();
-    let control = match (args.control, flavour) {
-        (Some(ControlArg::Thesis), _) | (None, Flavour::Thesis) => Named::Thesis,
-        (Some(ControlArg::Gated), _) => Named::Gated,
-        (Some(ControlArg::Planned), _) => Named::Planned,
-        (Some(ControlArg::Default), _) | (None, Flavour::Physical | Flavour::Measured) => Named::Default,
-    };
+    let asked = args.control.as_deref().map(Controller::load).transpose().context("--control")?;
+    let control = asked.unwrap_or_else(|| Controller::of(flavour));
     let solver = match args.solver {
         SolverArg::Averaged => Solver::Averaged,
         SolverArg::Carrier => Solver::Carrier,
@@ -278,9 +266,9 @@ fn setup(args: &RunArgs) -> Result<Setup> {
     }
     Ok(Setup {
         motor: JointMotor::load(&args.motor, flavour, solver)?,
-        control,
         edges_per_rev: args.edges_per_rev,
-        pwm_hz: args.pwm_hz.unwrap_or(f64::from(control.spec().pwm_hz())),
+        pwm_hz: args.pwm_hz.unwrap_or(f64::from(control.spec.pwm_hz())),
+        control,
         disturbance: Disturbance {
             amplitude_deg: args.disturbance_deg,
             frequency_hz: args.disturbance_hz,

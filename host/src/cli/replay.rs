@@ -51,6 +51,13 @@ fn print(found: &RecordingReplay) {
     if replay.missing_bits > 0 || replay.missing_edges > 0 {
         println!("{} samples of the 1 kHz capture and {} edges missing", replay.missing_bits, replay.missing_edges);
     }
+    if let Some(guided) = replay.guided {
+        let share = 100.0 * guided.believed as f64 / guided.ticks as f64;
+        println!(
+            "the target gave way by up to {} counts; a load was believed in {share:.0} % of the ticks, in the others it went back to its path",
+            guided.farthest_counts
+        );
+    }
     if replay.unended > 0 {
         println!("{} runs without their end", replay.unended);
     }

@@ -13,6 +13,8 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 use twum_host::link::relay::Lender;
 use twum_host::link::{LinkError, Port, is_motor_held, serve};
+use twum_host::model::motor::Motor;
+use twum_host::model::parameters::Flavour;
 use twum_host::serve::Server;
 use twum_host::serve::owner::Bench;
 use twum_host::serve::sweeping::Instruments;
@@ -56,6 +58,7 @@ pub struct Args {
 struct OwnBench {
     connect: ConnectArgs,
     port: String,
+    readings: Vec<(Motor, Flavour)>,
 }
 
 impl Bench for OwnBench {
@@ -67,6 +70,10 @@ impl Bench for OwnBench {
         let motor: &MotorArgs = self.connect.motor_args();
         let kept = motor.kept(chip).and_then(|kept| motor.has_edges(chip, used.edges_per_rev).map(|()| kept));
         kept.map_err(|error| format!("{error:#}"))
+    }
+
+    fn readings(&self) -> Vec<(Motor, Flavour)> {
+        self.readings.clone()
     }
 }
 
@@ -80,7 +87,8 @@ pub fn run(args: Args) -> Result<ExitCode> {
         args.connect.motor_args().is_of_a_real_board()?;
         asked
     };
-    let bench = OwnBench { connect: args.connect, port: port.clone() };
+    let readings = args.connect.motor_args().readings()?;
+    let bench = OwnBench { connect: args.connect, port: port.clone(), readings };
     let instruments = Instruments { generator: args.generator, scope: args.scope, is_simulated };
     let server = Server::new(&args.listen, &args.folder, &port, Box::new(bench), instruments)?;
     let ending = server.ending();

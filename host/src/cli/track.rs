@@ -1,14 +1,15 @@
 //! `twum track`.
 
-use super::configuration::ConfigurationArgs;
+use super::configuration::{ConfigurationArgs, UnstableArgs};
 use super::connect::{ConnectArgs, RecordArgs};
 use super::units;
 use anyhow::{Context, Result, anyhow};
 use std::process::ExitCode;
 use twum_host::link::bench::Action;
 use twum_host::record::series::duration_ms;
-use twum_shared::message::TrackRun;
+use twum_shared::message::{Configuration, TrackRun};
 use twum_shared::reference::{Reference, WayPoint};
+use twum_shared::step::ConfigSpec;
 
 /// Arguments of `twum track`.
 #[derive(Debug, clap::Args)]
@@ -26,9 +27,8 @@ pub struct Args {
     /// How long to track, s
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
-    /// Run a controller of a file that is unstable in the model of the motor too
-    #[arg(long)]
-    allow_unstable: bool,
+    #[command(flatten)]
+    unstable: UnstableArgs,
 }
 
 /// What to track; the thesis's sine when nothing is given.
@@ -93,9 +93,9 @@ fn way_point(text: &str, edges: u16) -> Result<WayPoint> {
 /// Runs `twum track`.
 pub fn run(args: Args) -> Result<ExitCode> {
     let duration_ms = duration_ms(args.seconds)?;
-    if !args.allow_unstable {
-        args.configuration.refuse_unstable(args.connect.motor_args())?;
-    }
+    // Before the board is touched: what it holds itself was looked at when it was loaded.
+    let asked = args.configuration.over(Configuration::with_control(ConfigSpec::DEFAULT))?;
+    args.unstable.refuse(&asked, args.connect.motor_args())?;
     super::run::make(&args.connect, &args.configuration, &args.record, |configuration| {
         let reference = args.reference.reference(configuration.edges_per_rev)?;
         Ok(Action::Track(TrackRun { reference, duration_ms }))

@@ -15,14 +15,17 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use twum_host::configuration::control_toml;
 use twum_host::model::motor::Motor;
+use twum_host::model::robust::{Spread, Study, Target};
+use twum_host::model::uncertainty::Band;
 use twum_host::output;
 use twum_host::record::measurement::Measurement;
 use twum_host::record::series::Series;
 use twum_host::tune::design::BANDWIDTH_RAD_S;
-use twum_host::tune::fit::{Estimate, Identified, identify};
+use twum_host::tune::fit::{Identified, identify};
 use twum_host::tune::plan::{SECONDS, plan};
-use twum_host::tune::predict::{Question, Tuned, tune};
+use twum_host::tune::predict::{Tuned, tune};
 use twum_shared::message::Configuration;
+use twum_shared::step::ConfigSpec;
 
 /// Arguments of `twum tune`.
 #[derive(Debug, clap::Args)]
@@ -96,16 +99,16 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let waiting = stage("fitting the motor to every run");
     let identified = identify(&measurement, &motor, args.seed)?;
     waiting.set_message(format!("trying every controller on {} motors that agree", args.draws));
-    let question = Question {
+    let study = Study {
         motor: &motor,
-        amplitude: args.amplitude,
-        omega_rad_s: args.omega,
+        target: Target::Sine { amplitude: args.amplitude, omega_rad_s: args.omega },
+        load: 0.0,
+        hand: None,
         seconds: args.seconds,
         draws: args.draws,
         seed: args.seed,
-        bandwidth_rad_s: args.bandwidth,
     };
-    let tuned = tune(&identified, &question)?;
+    let tuned = tune(&identified, &study, args.bandwidth)?;
     waiting.finish_and_clear();
     let unstable = tuned.iter().any(|controller| controller.unstable.is_some());
     let verdict = Ok(u8::from(unstable));
@@ -141,12 +144,18 @@ fn check(args: &Args) -> Result<()> {
     units::sine(args.amplitude, args.omega).context("--amplitude or --omega")?;
     // A folder that is not there yet has no files to keep.
     let there = args.save.iter().filter(|to| to.exists());
-    let files: Vec<PathBuf> = there.flat_map(|to| FILES.map(|name| to.join(name))).collect();
+    let names = || ConfigSpec::NAMED.map(|(name, _)| name).into_iter().chain([MOTOR]);
+    let files: Vec<PathBuf> = there.flat_map(|to| names().map(|name| file_of(to, name))).collect();
     files.into_iter().try_for_each(|path| Ok(output::may_write(&path, args.existing.into())?))
 }
 
-/// The files that `--save` writes.
-const FILES: [&str; 5] = ["thesis.toml", "default.toml", "gated.toml", "planned.toml", "motor.toml"];
+/// What `--save` calls the motor, beside the controllers by their names.
+const MOTOR: &str = "motor";
+
+/// The file that `--save` writes of something.
+fn file_of(to: &Path, name: &str) -> PathBuf {
+    to.join(format!("{name}.toml"))
+}
 
 /// Makes the plan's runs; where the measurement is.
 fn measure(args: &Args, out: &Path) -> Result<PathBuf> {
@@ -194,7 +203,7 @@ fn save(
     );
     let mut written = Vec::new();
     for controller in tuned {
-        let path = to.join(format!("{}.toml", controller.name));
+        let path = file_of(to, &controller.name);
         if let Some(swings) = controller.unstable.filter(|_| !args.allow_unstable) {
             eprintln!("{}: not written: {swings} (--allow-unstable writes it)", path.display());
             continue;
@@ -203,7 +212,7 @@ fn save(
         output::write(&path, text, args.existing.into())?;
         written.push(path);
     }
-    let path = to.join("motor.toml");
+    let path = file_of(to, MOTOR);
     output::write(&path, identified.motor(motor, &source).to_toml()?, args.existing.into())?;
     written.push(path);
     written.iter().for_each(|path| eprintln!("wrote {}", path.display()));
@@ -231,15 +240,15 @@ fn provenance(args: &Args, source: &str, identified: &Identified, controller: &T
     lines.iter().map(|line| format!("# {line}\n")).collect()
 }
 
-fn ci(e: Estimate, places: usize) -> String {
-    format!("{:.places$} [{:.places$}, {:.places$}]", e.value, e.ci95[0], e.ci95[1])
+fn ci(e: Band, places: usize) -> String {
+    format!("{:.places$} [{:.places$}, {:.places$}]", e.median, e.ci95[0], e.ci95[1])
 }
 
-fn scaled(e: Estimate) -> Estimate {
-    Estimate { value: 1e3 * e.value, ci95: e.ci95.map(|v| 1e3 * v) }
+fn scaled(e: Band) -> Band {
+    Band { median: 1e3 * e.median, ci95: e.ci95.map(|v| 1e3 * v) }
 }
 
-fn spread(s: twum_host::model::robust::Spread) -> String {
+fn spread(s: Spread) -> String {
     format!("{:.2} / {:.2}", s.median, s.p90)
 }
 

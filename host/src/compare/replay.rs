@@ -44,6 +44,21 @@ pub enum Field {
     FullSpeed,
     /// Its braking.
     Braking,
+    /// The load on it that a target gives way to, and its variance.
+    Load,
+    /// How far a target that gives way is off its path, 2^-20 count.
+    Deviation,
+}
+
+/// What a target that gives way to a load did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Guided {
+    /// Ticks under a controller whose target may give way.
+    pub ticks: u64,
+    /// Of these, ticks in which a load was believed; in the others the target went back to its path.
+    pub believed: u64,
+    /// Farthest that it was off its path, counts.
+    pub farthest_counts: u32,
 }
 
 /// What the check found.
@@ -69,6 +84,9 @@ pub struct ReplayReport {
     pub missing_bits: u64,
     /// Encoder edges missing between those recorded.
     pub missing_edges: u64,
+    /// Of controllers whose target may give way.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub guided: Option<Guided>,
 }
 
 impl ReplayReport {
@@ -241,6 +259,12 @@ impl Replay {
     fn compare(&mut self, config: &Config, state: &mut State, tick: u64, time_us: u64, sample: &ControlSample) {
         let ours = step::step(config, state, sample.inputs());
         self.report.checked += 1;
+        if config.spec().guide.limit_counts > 0 {
+            let guided = self.report.guided.get_or_insert_default();
+            guided.ticks += 1;
+            guided.believed += u64::from(state.load_nnm(config).is_some());
+            guided.farthest_counts = guided.farthest_counts.max(state.deviation.unsigned_abs() >> 20);
+        }
         let pairs = [
             (Field::ControlSignal, i64::from(ours.u), i64::from(sample.u)),
             (Field::OnSteps, i64::from(ours.on_steps), i64::from(sample.on_steps)),
@@ -259,6 +283,9 @@ impl Replay {
             (Field::FullSpeed, i64::from(state.rotor.full_cw), i64::from(block.state.rotor.full_cw)),
             (Field::FullSpeed, i64::from(state.rotor.full_ccw), i64::from(block.state.rotor.full_ccw)),
             (Field::Braking, i64::from(state.rotor.braking), i64::from(block.state.rotor.braking)),
+            (Field::Load, i64::from(state.rotor.load.pushes), i64::from(block.state.rotor.load.pushes)),
+            (Field::Load, i64::from(state.rotor.load.doubt), i64::from(block.state.rotor.load.doubt)),
+            (Field::Deviation, i64::from(state.deviation), i64::from(block.state.deviation)),
         ];
         self.note(tick, block.first_us, &pairs);
     }

@@ -4,13 +4,14 @@ use super::figure::{Figure, Panel};
 use super::page::Page;
 use super::table::table;
 use crate::compare::ordinary::Ordinary;
+use crate::diagnose::inertial::RunAgainst;
 
 /// Runs that are drawn: more are rows of the table.
 const DRAWN: usize = 6;
 
 impl Ordinary {
     fn rows(&self) -> Vec<Vec<String>> {
-        let row = |r: &crate::diagnose::inertial::RunAgainst| {
+        let row = |r: &RunAgainst| {
             vec![r.id.clone(), format!("{:.3}", r.rmse_rpm), format!("{:.2}", 100.0 * r.rmse_relative)]
         };
         self.runs.iter().map(row).collect()
@@ -22,7 +23,7 @@ impl Ordinary {
 
     /// Measured and simulated speeds.
     pub fn figure(&self, name: &str) -> Figure {
-        let panel = |r: &crate::diagnose::inertial::RunAgainst| {
+        let panel = |r: &RunAgainst| {
             let line = |rpm: &[f64]| -> Vec<(f64, f64)> { r.time_s.iter().copied().zip(rpm.iter().copied()).collect() };
             Panel::new("time (s)", "speed (rpm)")
                 .title(format!("{}: {:.3} rpm RMS", r.id, r.rmse_rpm))

@@ -25,6 +25,8 @@ mod sweep;
 pub mod sweeping;
 pub mod tap;
 
+use crate::model::motor::Motor;
+use crate::model::parameters::Flavour;
 use board::Board;
 use door::Door;
 use folder::Folder;
@@ -57,6 +59,8 @@ pub struct App {
     board: Arc<Board>,
     owner: Arc<Owner>,
     holder: Arc<Holder>,
+    /// Of the motor, to hold controllers against.
+    readings: Arc<[(Motor, Flavour)]>,
     door: Door,
     folder: Folder,
     studies: Studies,
@@ -158,11 +162,13 @@ impl Server {
         let door = Door::new(asked, address.ip().is_loopback());
         let board = Arc::new(Board::new(port));
         let holder = Arc::<Holder>::default();
+        let readings = bench.readings().into();
         let (owner, thread) = Owner::start(bench, Arc::clone(&board), Arc::clone(&holder));
         let app = Arc::new(App {
             board,
             owner,
             holder,
+            readings,
             door,
             folder,
             studies: Studies::default(),

@@ -8,6 +8,8 @@ use super::tap::Tap;
 use crate::link::bench::{Action, Experiment, Outcome, align, perform};
 use crate::link::relay::{self, Lender};
 use crate::link::{LinkError, Port, Returned, Session};
+use crate::model::motor::Motor;
+use crate::model::parameters::Flavour;
 use serde_json::{Value, json};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
@@ -44,6 +46,9 @@ pub trait Bench: Send {
     /// # Errors
     /// In a sentence, when the two do not go together.
     fn motor(&self, chip: &str, used: &Configuration) -> Result<String, String>;
+
+    /// The readings of the motor to hold a controller against before the board is given it.
+    fn readings(&self) -> Vec<(Motor, Flavour)>;
 }
 
 /// What a page or a terminal may ask for.

@@ -9,6 +9,7 @@ use super::request::Run;
 use super::settings::settings;
 use super::{App, model, runs, stream, studies, sweep, sweeping};
 use crate::configuration::{difference, overlay, to_toml};
+use crate::tune::margins::refuse_unstable;
 use axum::extract::{DefaultBodyLimit, State};
 use axum::http::StatusCode;
 use axum::middleware::from_fn_with_state;
@@ -167,10 +168,25 @@ async fn check(State(app): State<Arc<App>>, Json(Text { toml }): Json<Text>) -> 
     Ok(Json(json!({ "rows": settings(&wanted), "differs": differs, "toml": to_toml(&wanted) })))
 }
 
-async fn configure(State(app): State<Arc<App>>, Json(Asked { page, what }): Json<Asked<Text>>) -> Answer {
+/// The same, to be given to the board.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Wanted {
+    toml: String,
+    /// Also a controller that is unstable in the model.
+    #[serde(default)]
+    allow_unstable: bool,
+}
+
+async fn configure(State(app): State<Arc<App>>, Json(Asked { page, what }): Json<Asked<Wanted>>) -> Answer {
     app.holder.check(&page, app.board.command_timeout()).map_err(conflict)?;
     let own = in_force(&app);
     let wanted = overlay(&own, &what.toml).map_err(|error| error.to_string())?;
+    if !what.allow_unstable {
+        let readings = Arc::clone(&app.readings);
+        let held = tokio::task::spawn_blocking(move || refuse_unstable(&wanted, &readings)).await;
+        held.map_err(conflict)?.map_err(|refused| format!("{refused}; `allow unstable` takes it all the same"))?;
+    }
     _ = command(&app, &page, Command::Configure(Box::new(wanted))).await?;
     let keys: Vec<String> =
         difference(&own, &wanted).into_iter().map(|(key, _, new)| format!("{key} = {new}")).collect();

@@ -19,7 +19,7 @@ pub struct Row {
 }
 
 /// Unit and bounds of every key; what the firmware's own checks refuse.
-const KEYS: [(&str, &str, &str); 35] = [
+const KEYS: [(&str, &str, &str); 41] = [
     ("count_sign", "", "positive or reversed"),
     ("edges_per_rev", "edges", "2 to 10000"),
     ("pwm_hz", "Hz", "10 to 2000"),
@@ -41,6 +41,12 @@ const KEYS: [(&str, &str, &str); 35] = [
     ("control.delay_ticks", "ticks", "at most 8"),
     ("control.shortest_pulse_ticks", "ticks", "of a gated drive: 1 to 40"),
     ("control.pulse_period_ticks", "ticks", "of a gated drive: 1 to 40, 1 for a pulse whenever it has to be"),
+    ("control.learns", "", "true or false, of a gated drive"),
+    ("control.guide_limit_counts", "counts", "of a gated drive: at most 256, 0 for a target that does not give way"),
+    ("control.guide_stiffness_nnm", "nN\u{b7}m/count", "1 to 1000000000 for a target that gives way"),
+    ("control.guide_damping_nnm_s", "nN\u{b7}m\u{b7}s/count", "1 to 1000000000 for a target that gives way"),
+    ("control.guide_dead_band_nnm", "nN\u{b7}m", "below guide_braking_nnm"),
+    ("control.guide_braking_nnm", "nN\u{b7}m", "1 to 1000000000 for a target that gives way"),
     ("limits.command_timeout_ms", "ms", "1 to 2000"),
     ("limits.stall_duty", "1/32768", "1 to 32768"),
     ("limits.stall_ms", "ms", "1 to 2000"),

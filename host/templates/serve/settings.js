@@ -3,7 +3,7 @@
 import { act, button, element, field, say, table } from "./parts.js";
 import { command, get, here, holds, listen, post } from "./talk.js";
 
-let board = [], wanted = {}, version = null, host, rows, summary, send;
+let board = [], wanted = {}, version = null, host, rows, summary, send, unstable;
 
 const text = value => typeof value === "string" ? value : String(value);
 
@@ -79,11 +79,12 @@ export const settings = {
     host = element("div");
     summary = element("p");
     send = button("Give it to the board", act(async () => {
-      const found = await command("/api/configuration", { toml: toml() });
+      const found = await command("/api/configuration", { toml: toml(), allow_unstable: unstable.checked });
       wanted = {};
       say(found.changed.length ? `the board is configured: ${found.changed.join(", ")}` : "the board had it already", false);
       await load();
     }), { id: "send", className: "primary" });
+    unstable = element("input", { type: "checkbox", id: "unstable" });
     const file = element("input", { type: "file", accept: ".toml" });
     file.onchange = act(async () => { if (file.files[0]) await read(await file.files[0].text()); file.value = ""; });
     const save = button("Save as a file", act(async () => {
@@ -95,7 +96,7 @@ export const settings = {
     place.append(
       element("h2", { textContent: "Configuration" }),
       element("p", { className: "soft", textContent: "What the board runs with: it is changed between runs, by the page that holds the motor. What is left as the board has it stays. Every recording holds the configuration it was made with." }),
-      element("div", { className: "row" }, send, button("As the board has it", act(async () => { wanted = {}; await load(); })),
+      element("div", { className: "row" }, send, field("allow unstable", unstable), button("As the board has it", act(async () => { wanted = {}; await load(); })),
         button("Controller of the thesis", act(() => read("control = \"thesis\""))), button("Default controller", act(() => read("control = \"default\""))), button("Gated controller", act(() => read("control = \"gated\""))),
         button("Planned controller", act(() => read("control = \"planned\""))),
         save, field("load a TOML file", file)),

@@ -21,6 +21,12 @@ fn a_run_is_made_recorded_and_stopped_and_the_recording_holds_the_new_gains() {
     // The limits that the board refuses are refused with the key's name, and change nothing.
     let (status, refused) = page.command("/api/configuration", Some(json!({ "toml": "[control]\nkp = 2000" })));
     assert!(status == 400 && refused["error"].as_str().unwrap().contains("kp"), "{refused}");
+    // So is a controller that swings in the model, unless it is wanted all the same.
+    let swings = json!({ "toml": "[control]\nkp = -5.0" });
+    let (status, refused) = page.command("/api/configuration", Some(swings));
+    assert!(status == 400 && refused["error"].as_str().unwrap().contains("unstable in the model"), "{refused}");
+    page.does("/api/configuration", Some(json!({ "toml": "[control]\nkp = -5.0", "allow_unstable": true })));
+    page.does("/api/configuration", Some(json!({ "toml": "[control]\nkp = 70.0" })));
     let changed = page.does("/api/configuration", Some(json!({ "toml": "[control]\nkp = 50.5" })));
     assert_eq!(changed["changed"], json!(["control.kp = 50.5"]));
     page.until("the page is told", |page| page.has_line("control.kp = 50.5"));

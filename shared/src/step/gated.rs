@@ -14,12 +14,19 @@ use crate::Direction;
 /// An overshoot by so many ticks of full drive is left to the target to catch up with: a shortest pulse the other way, and what
 /// the rotor runs on after it, would turn by as much.
 const REVERSES_TICKS: i32 = 4;
+
 /// One tick of a controller that gates the drive.
 #[inline(always)]
 pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outputs {
     let spec = &config.spec;
     let rotor = &mut state.rotor;
     rotor.sees(config, inputs);
+    let gives_way = if config.admittance.is_on() {
+        config.admittance.moves(&config.model, &mut state.deviation, rotor.load.worth(rotor.braking))
+    } else {
+        state.deviation = 0;
+        0
+    };
 
     // What is under way when this tick's decision comes to bear, there and at the target.
     let (mut place, mut speed) = (rotor.place, rotor.speed);
@@ -27,10 +34,10 @@ pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outp
         (place, speed) = rotor.advanced(place, speed, ago);
     }
     let rate = ((i64::from(inputs.target_rate) * i64::from(config.rate_of_one)) >> (32 - FINE)) as i32;
-    let rate = rate.clamp(-2 * FASTEST, 2 * FASTEST);
+    let rate = rate.saturating_add(gives_way).clamp(-2 * FASTEST, 2 * FASTEST);
     let counts = inputs.target.saturating_sub(inputs.position).clamp(-FARTHEST, FARTHEST);
-    let target =
-        counts * COUNT + i32::from(inputs.target_fraction) * (COUNT / 128) + rate * i32::from(spec.delay_ticks);
+    let wanted = counts * COUNT + i32::from(inputs.target_fraction) * (COUNT / 128) + state.deviation;
+    let target = wanted + rate * i32::from(spec.delay_ticks);
     let short = target.saturating_sub(place).saturating_sub(rotor.runs_on(speed, rate));
 
     let along = if state.direction == Direction::Cw { short } else { short.saturating_neg() };
@@ -38,7 +45,7 @@ pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outp
     let mut on = if rotor.held < spec.shortest_pulse_ticks {
         was_on
     } else if spec.has_pulse_period() {
-        planned::wants(config, rotor, &Foretold::along(state.direction, place - target, speed, rate))
+        planned::wants(config, rotor, &Foretold::along(state.direction, rotor, place - target, speed, rate))
     } else if was_on {
         along >= -config.model.full / 2
     } else {
@@ -73,53 +80,11 @@ pub(super) fn gated(config: &Config, state: &mut State, inputs: &Inputs) -> Outp
 #[cfg(test)]
 mod tests {
     extern crate std;
-    use super::super::{Config, ConfigSpec, Rotor, step};
+    use super::super::motor::Motor;
+    use super::super::{Config, ConfigSpec, GuideSpec, Load, Rotor, step};
     use super::*;
     use proptest::prelude::*;
     use std::vec::Vec;
-
-    /// A rotor in doubles, in counts and ticks: it comes up to its speed within a tick or two, the wave takes a quarter of it back
-    /// as it dies, and constant friction brakes the rest.
-    struct Motor {
-        full: f64,
-        was: i32,
-        braking: f64,
-        place: f64,
-        speed: f64,
-        count: i32,
-        edge_at: f64,
-    }
-
-    impl Motor {
-        /// A rotor at the edge from which it counts; the speed in counts/s, the braking in counts/s².
-        fn new(full: f64, braking: f64) -> Self {
-            let braking = braking * 500e-6 * 500e-6;
-            Self { full: full * 500e-6, braking, was: 0, place: 1e-6, speed: 0.0, count: 0, edge_at: -1e9 }
-        }
-
-        /// A tick under a drive, which ends at `now` ticks; counted in the sense of the drive's direction.
-        fn turn(&mut self, drive: i32, direction: Direction, now: f64) {
-            let steps = 50;
-            let dies = drive == 0 && self.was != 0;
-            self.was = drive;
-            for step in 1..=steps {
-                let dt = 1.0 / f64::from(steps);
-                if drive != 0 {
-                    self.speed += (f64::from(drive) * self.full - self.speed) * dt;
-                } else {
-                    self.speed *= if dies { 0.75f64.powf(dt) } else { 1.0 };
-                    self.speed -= self.speed.signum() * (self.braking * dt).min(self.speed.abs());
-                }
-                let before = self.place.floor();
-                self.place += self.speed * dt;
-                let edges = (self.place.floor() - before).abs() as i32;
-                if edges > 0 {
-                    self.count += edges * direction.sign();
-                    self.edge_at = now - 1.0 + f64::from(step) * dt;
-                }
-            }
-        }
-    }
 
     /// Follows a sine; gives the mean error in degrees, and the state at the end.
     fn follows(spec: ConfigSpec, mut motor: Motor, delay: usize, seconds: u32) -> (f64, State) {
@@ -227,17 +192,27 @@ mod tests {
         fn no_state_and_no_input_overflows(
             full in 1u16..=16_000, braking in 1u32..2_000_000, delay in 0u8..=8, pulse in 1u8..=40, period in 1u8..=40,
             any in any::<[i32; 8]>(), bits in any::<[u16; 2]>(), held in any::<[u8; 2]>(),
+            felt in any::<([i32; 2], [u16; 4])>(), guide in any::<(u16, [u32; 4])>(),
             ticks in proptest::collection::vec((any::<i32>(), any::<i32>(), -3i32..=3, any::<i8>(), any::<u16>(), 0u8..20), 1..200),
         ) {
             let spec = ConfigSpec {
                 full_speed_counts_s: full, braking_counts_s2: braking, delay_ticks: delay, shortest_pulse_ticks: pulse,
                 pulse_period_ticks: period, ..ConfigSpec::GATED
             };
-            let Ok(config) = Config::try_from(spec) else { return Ok(()) };
+            // Most targets that give way are refused; the others go through the same ticks as those that do not.
+            let (limit_counts, [stiffness_nnm, damping_nnm_s, dead_band_nnm, braking_nnm]) = guide;
+            let guide = GuideSpec {
+                limit_counts: limit_counts % 300, stiffness_nnm: stiffness_nnm >> 8, damping_nnm_s: damping_nnm_s >> 8,
+                dead_band_nnm: dead_band_nnm >> 8, braking_nnm: braking_nnm >> 4
+            };
+            let guided = Config::try_from(ConfigSpec { guide, ..spec });
+            let Ok(config) = guided.or_else(|_| Config::try_from(spec)) else { return Ok(()) };
+            let ([pushes, deviation], [doubt, speed_ticks, place_ticks, edges]) = felt;
             let [count, place, speed, full_cw, full_ccw, braking, driven, coasted] = any;
             let ([on, cw], [held, since]) = (bits, held);
-            let rotor = Rotor { count, place, speed, full_cw, full_ccw, braking, on, cw, held, since, driven, coasted };
-            let mut state = State { rotor, ..State::REST };
+            let load = Load { pushes, doubt, speed_ticks, place_ticks, edges };
+            let rotor = Rotor { count, place, speed, full_cw, full_ccw, braking, on, cw, held, since, driven, coasted, load };
+            let mut state = State { rotor, deviation, ..State::REST };
             let (mut position, mut last, mut run) = (count, state.rotor.on & 1 == 1, u32::from(held));
             let mut pin = state.direction;
             let mut began = u32::from(since);
@@ -247,6 +222,9 @@ mod tests {
                 prop_assert!(out.on_steps == 0 || out.on_steps == spec.duty_steps);
                 prop_assert!((0..=COUNT).contains(&state.rotor.place));
                 prop_assert!(config.model.about(state.rotor.full_cw) == state.rotor.full_cw);
+                let limit = i64::from(config.spec().guide.limit_counts) * i64::from(COUNT);
+                prop_assert!(i64::from(state.deviation).abs() <= limit, "{} off its path", state.deviation);
+                prop_assert!(state.rotor.load.pushes.abs() < state.rotor.braking, "no more than the rotor bears");
                 prop_assert!(config.model.braked(state.rotor.braking) == state.rotor.braking);
                 let on = out.on_steps > 0;
                 prop_assert!(out.direction == pin || (on && !last), "the pin changes with the pulse, from rest");

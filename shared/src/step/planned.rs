@@ -15,13 +15,15 @@ pub(super) struct Foretold {
     ahead: i32,
     speed: i32,
     rate: i32,
+    braking: i32,
 }
 
 impl Foretold {
     /// From what is so in 2^-20 counts, clockwise.
-    pub(super) const fn along(direction: Direction, ahead: i32, speed: i32, rate: i32) -> Self {
+    pub(super) const fn along(direction: Direction, rotor: &Rotor, ahead: i32, speed: i32, rate: i32) -> Self {
         let sign = direction.sign();
-        Self { ahead: (ahead >> 8) * sign, speed: (speed >> 8) * sign, rate: (rate >> 8) * sign }
+        let braking = rotor.slows(sign) >> 8;
+        Self { ahead: (ahead >> 8) * sign, speed: (speed >> 8) * sign, rate: (rate >> 8) * sign, braking }
     }
 }
 
@@ -36,7 +38,7 @@ pub(super) fn wants(config: &Config, rotor: &Rotor, at: &Foretold) -> bool {
     }
     let gone = if over { 0 } else { i32::from(rotor.since) };
     let left = period - gone;
-    let Rest { way, sum } = rest(rotor, at.speed, left);
+    let Rest { way, sum } = rest(rotor, at, left);
     let (full, rate) = (config.model.full >> 8, at.rate);
     // Half a tick of full drive: what a tick more or less is closest to.
     if was_on {
@@ -61,10 +63,10 @@ struct Rest {
 
 /// A rotor of this speed, or what the dying wave leaves of it, braked over so many ticks.
 #[inline(always)]
-fn rest(rotor: &Rotor, speed: i32, ticks: i32) -> Rest {
-    let speed = speed.max(0);
+fn rest(rotor: &Rotor, at: &Foretold, ticks: i32) -> Rest {
+    let speed = at.speed.max(0);
     let speed = if rotor.on & 1 == 1 { speed - speed / 4 } else { speed };
-    let braking = (rotor.braking >> 8).max(1);
+    let braking = at.braking.max(1);
     let stops = (speed.unsigned_abs() / braking.unsigned_abs()) as i32;
     if stops >= ticks {
         // The braking takes no more than the speed over these ticks: each product is below speed·ticks².

@@ -3,6 +3,7 @@
 //! Angles are in 2^-20 count, speeds in that a tick; all fits 32 bits, for the speeds that [`Model::of`] lets pass. What is
 //! decided is measured by what full drive turns in a tick, so that it does not depend on the encoder.
 
+use super::load::Load;
 use super::{Config, ConfigSpec, Inputs};
 use serde::{Deserialize, Serialize};
 
@@ -24,8 +25,13 @@ pub(super) struct Model {
     /// Speed at full drive.
     pub(super) full: i32,
     /// What the speed loses in a tick with the drive off.
-    braking: i32,
+    pub(super) braking: i32,
+    /// Ticks² for which a push as strong as the braking has to bear before it moves the rotor by what an edge may be off.
+    pub(super) noise_ticks: u32,
 }
+
+/// What an edge may be off by: a disc whose light is wider than its dark, a rotor that is not quite the one foretold; 0.15 of a count.
+const EDGE_NOISE: u32 = COUNT as u32 / 20 * 3;
 
 impl Model {
     /// The model of a configuration; `None` where it leaves what 32 bits hold.
@@ -40,7 +46,11 @@ impl Model {
             && (1..=LONGEST_PULSE).contains(&spec.shortest_pulse_ticks)
             && (1..=LONGEST_PULSE).contains(&spec.pulse_period_ticks)
             && spec.reversal_rest_ticks > 0;
-        inside.then_some(Self { full: full as i32, braking: braking as i32 })
+        inside.then_some(Self {
+            full: full as i32,
+            braking: braking as i32,
+            noise_ticks: (EDGE_NOISE / (braking as u32).max(1)).clamp(1, 255),
+        })
     }
 
     /// A speed at full drive as far as it may differ from the one told: by what motors, temperature, runout and load make of it.
@@ -82,6 +92,8 @@ pub struct Rotor {
     pub driven: i32,
     /// How far with the drive off.
     pub coasted: i32,
+    /// The load on it, where a target gives way to one.
+    pub load: Load,
 }
 
 impl Rotor {
@@ -99,6 +111,7 @@ impl Rotor {
         since: u8::MAX,
         driven: 0,
         coasted: 0,
+        load: Load::REST,
     };
 
     /// Drive decided `ago` ticks before: +1, 0 or -1.
@@ -110,6 +123,11 @@ impl Rotor {
         }
     }
 
+    /// What the speed loses in a tick with the drive off, of a rotor that moves clockwise (1) or counter-clockwise (-1).
+    pub(super) const fn slows(&self, sense: i32) -> i32 {
+        self.braking - sense * self.load.pushes
+    }
+
     /// Place and speed after a tick in which the drive is that of `ago` ticks before. The wave, and the rotor with it, comes
     /// up to 5/8 of what is missing in a tick, and takes a quarter of the speed back as it dies: the averaged model's own
     /// course, at 500 µs. After that the rotor is braked by a constant friction.
@@ -118,7 +136,7 @@ impl Rotor {
         let next = match (self.drive(ago), self.drive(ago + 1)) {
             (0, before) => {
                 let left = if before != 0 { speed - speed / 4 } else { speed };
-                if left > 0 { (left - self.braking).max(0) } else { (left + self.braking).min(0) }
+                if left > 0 { (left - self.slows(1)).max(0) } else { (left + self.slows(-1)).min(0) }
             }
             (on, _) => {
                 let wanted = if on > 0 { self.full_cw } else { -self.full_ccw };
@@ -141,11 +159,21 @@ impl Rotor {
         self.speed = self.speed.clamp(-2 * FASTEST + 1, 2 * FASTEST - 1);
         (self.full_cw, self.full_ccw) = (model.about(self.full_cw), model.about(self.full_ccw));
         self.braking = model.braked(self.braking);
+        let guides = config.admittance.is_on();
+        if guides {
+            self.load.is_borne(self.braking);
+        } else {
+            self.load = Load::REST;
+        }
+        let by_way = guides || config.spec.has_pulse_period();
         let delay = config.spec.delay_ticks;
         let drive = self.drive(delay);
         let before = self.place;
         (self.place, self.speed) = self.advanced(self.place, self.speed, delay);
-        if config.spec.has_pulse_period() {
+        if guides {
+            self.load.passes(drive != 0, self.speed != 0);
+        }
+        if by_way {
             let way = if drive == 0 { &mut self.coasted } else { &mut self.driven };
             *way = way.saturating_add((self.place - before).saturating_abs());
         }
@@ -160,10 +188,14 @@ impl Rotor {
             let since = (self.speed >> 8) * age;
             if edges.unsigned_abs() <= FARTHEST.unsigned_abs() {
                 let error = edge + edges * COUNT - (self.place - since);
-                if config.spec.has_pulse_period() {
-                    self.learns_by_way(model, delay, error);
+                if guides {
+                    self.load.counts();
+                    self.feels(model, error);
+                }
+                if by_way {
+                    self.learns_by_way(config, delay, error);
                 } else {
-                    self.learns(model, drive, error);
+                    self.learns(config, drive, error);
                 }
             }
             self.place = edge + since;
@@ -175,20 +207,32 @@ impl Rotor {
             self.place = inside;
             if (short < 0) == (self.speed > 0) {
                 self.speed -= self.speed / 8;
-                self.learns(model, drive, short);
+                if guides {
+                    self.feels(model, short);
+                }
+                self.learns(config, drive, short);
             }
+        }
+        if guides {
+            self.load.is_borne(self.braking);
         }
     }
 
     /// Corrects what the rotor's last stretch depended on: by `error`, how much farther it is than foretold.
     #[inline(always)]
-    fn learns(&mut self, model: &Model, drive: i32, error: i32) {
+    fn learns(&mut self, config: &Config, drive: i32, error: i32) {
+        if !config.spec.learns {
+            return;
+        }
+        let model = &config.model;
         // A jump by more is no motion of this rotor: a count's worth at the encoder it is meant for.
         let error = error.max(-8 * model.full).min(8 * model.full);
         match drive {
             // With a time constant of 512 ticks of drive: long against the encoder's unevenness, short against a turn.
             1 => self.full_cw = model.about(self.full_cw + error / 512),
             -1 => self.full_ccw = model.about(self.full_ccw - error / 512),
+            // What a rotor that is known runs on too far is the load's, or is told apart from it.
+            _ if self.load.is_known_roughly() => {}
             _ => {
                 // The same share of the braking for each tick of full drive that the rotor went too far, or not far enough.
                 let ticks = error.unsigned_abs() / (model.full.unsigned_abs() / 64).max(1);
@@ -199,17 +243,25 @@ impl Rotor {
         }
     }
 
+    /// Corrects the load by `error`, and the braking by what is no load.
+    #[inline(always)]
+    fn feels(&mut self, model: &Model, error: i32) {
+        let push = self.load.tells(model, error);
+        self.braking = model.braked(self.braking - self.speed.signum() * push);
+    }
+
     /// The same where a pulse makes an edge or two: the error belongs to both, the drive and what it left, by how far the rotor
     /// went in each. Given to the last tick's alone, what the rotor runs on too far would be taken from the speed at full drive.
     #[inline(always)]
-    fn learns_by_way(&mut self, model: &Model, delay: u8, error: i32) {
+    fn learns_by_way(&mut self, config: &Config, delay: u8, error: i32) {
         // A state that was recorded may hold any.
         let (driven, coasted) = (self.driven.max(0).unsigned_abs() >> 8, self.coasted.max(0).unsigned_abs() >> 8);
         let of_drive = (((u64::from(driven) << 8) / u64::from((driven + coasted).max(1))) as i32).min(1 << 8);
-        let error = error.max(-8 * model.full).min(8 * model.full);
+        let full = config.model.full;
+        let error = error.max(-8 * full).min(8 * full);
         let while_on = (error >> 8) * of_drive;
-        self.learns(model, if (self.cw >> delay) & 1 == 1 { 1 } else { -1 }, while_on);
-        self.learns(model, 0, error - while_on);
+        self.learns(config, if (self.cw >> delay) & 1 == 1 { 1 } else { -1 }, while_on);
+        self.learns(config, 0, error - while_on);
         (self.driven, self.coasted) = (0, 0);
     }
 
@@ -220,7 +272,8 @@ impl Rotor {
         let over = (left - rate).clamp(-2 * FASTEST + 1, 2 * FASTEST - 1);
         // Speed squared over twice the braking, in 32 bits: 2·(20 - 9) bits over 20 - 4, and what is missing to 20 less the half.
         let square = (over.unsigned_abs() >> 9).pow(2);
-        let way = ((square / (self.braking.unsigned_abs() >> 4).max(1)).min(1 << 14) << 13) as i32;
+        let braking = self.slows(over.signum());
+        let way = ((square / (braking.unsigned_abs() >> 4).max(1)).min(1 << 14) << 13) as i32;
         if over < 0 { -way } else { way }
     }
 }

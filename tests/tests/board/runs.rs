@@ -1,11 +1,12 @@
 //! The firmware on its simulated board: alignment, runs and tracking, in virtual time.
 
 use crate::bench::{Bench, default_configuration, speed};
+use twum_host::compare::replay::Replay;
 use twum_host::link::LinkError;
 use twum_host::sim::{Disturbance, DriverHealth, Setup};
 use twum_shared::message::{Configuration, DeviceMessage, Mode, Refusal, RunEnd, TrackRun};
 use twum_shared::reference::Reference;
-use twum_shared::step::ConfigSpec;
+use twum_shared::step::{ConfigSpec, GuideSpec};
 use twum_shared::{Direction, Duty, Fault};
 
 /// Seconds of virtual time an alignment may take at most: four attempts of its longest waits.
@@ -126,6 +127,35 @@ fn every_controller_tracks_the_thesis_sine() {
         let mean = errors.iter().map(|error| error.abs()).sum::<f64>() / errors.len() as f64;
         assert!(mean < mean_bound_deg, "mean error {mean}°");
     }
+}
+
+/// A rotor that stands as soon as the drive is off tells of no load. Fails when one is believed all the same, when a tick of a guided run does
+/// not replay, or when the board takes a target that fixed point cannot let give way.
+#[test]
+fn a_guided_run_replays_and_falls_back_to_its_path_on_a_rotor_that_does_not_run_on() {
+    let guide = GuideSpec {
+        limit_counts: 60,
+        stiffness_nnm: 5_000,
+        damping_nnm_s: 2_500,
+        dead_band_nnm: 40_000,
+        braking_nnm: 197_000,
+    };
+    let guided = |guide| Configuration::with_control(ConfigSpec { guide, ..ConfigSpec::PLANNED });
+    let mut bench = Bench::armed(guided(guide));
+    let reference = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };
+    bench.session.capture(twum_shared::message::CaptureMode { bits: false, edges: false, control: true }).unwrap();
+    bench.session.start_track(TrackRun { reference, duration_ms: 15_000 }).unwrap();
+    bench.wait(15_500);
+    let mut replay = Replay::new();
+    replay.observe(&DeviceMessage::Configured(guided(guide)));
+    bench.seen.iter().for_each(|received| replay.observe(&received.message));
+    let report = replay.finish();
+    assert!(report.is_exact() && report.checked >= 30_000, "{report:?}");
+    let felt = report.guided.unwrap();
+    assert!(felt.ticks == report.checked && felt.believed * 20 < felt.ticks, "{felt:?}");
+    bench.session.stop().unwrap();
+    let refused = bench.session.configure(guided(GuideSpec { damping_nnm_s: 0, ..guide })).unwrap_err();
+    assert!(refused.to_string().contains("guide_damping_nnm_s"), "{refused}");
 }
 
 /// Fails when a drive that is decided every tick is run with pulses that begin every 20 ms.

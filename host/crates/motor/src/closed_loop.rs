@@ -14,6 +14,9 @@ use std::f64::consts::PI;
 use twum_shared::reference::Reference;
 use twum_shared::step::{Config, ConfigError, ConfigSpec, Inputs, State, step};
 
+/// Parts of a count that the step reckons with.
+const FINE: f64 = (1 << 20) as f64;
+
 /// A closed-loop run.
 #[derive(Debug, Clone)]
 pub struct LoopProgram {
@@ -51,6 +54,33 @@ impl LoopProgram {
     }
 }
 
+/// A hand on the rotor: a torque that changes with time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hand {
+    /// Largest torque, clockwise (N·m).
+    pub torque_nm: f64,
+    /// Frequency of a sine (Hz); zero for a ramp up to the largest.
+    pub frequency_hz: f64,
+    /// From when on (s).
+    pub from_s: f64,
+    /// When a ramp is at its end (s).
+    pub until_s: f64,
+}
+
+impl Hand {
+    /// The torque at a time, clockwise (N·m).
+    pub fn at(&self, time_s: f64) -> f64 {
+        let since_s = time_s - self.from_s;
+        if since_s <= 0.0 {
+            0.0
+        } else if self.frequency_hz > 0.0 {
+            self.torque_nm * (2.0 * PI * self.frequency_hz * since_s).sin()
+        } else {
+            self.torque_nm * (since_s / (self.until_s - self.from_s)).min(1.0)
+        }
+    }
+}
+
 /// One control tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tick {
@@ -68,6 +98,12 @@ pub struct Tick {
     pub direction: Direction,
     /// True angle of the rotor (rad).
     pub angle_rad: f64,
+    /// Torque that a controller with a target that gives way believes to push the rotor clockwise (N·m); none where that is worth nothing.
+    pub load_nm: Option<f64>,
+    /// How far its target is off the path (counts).
+    pub deviation: f64,
+    /// Speed at full drive that a controller with a model of its rotor believes, clockwise and counter-clockwise (counts/s); zero without one.
+    pub full_counts_s: [f64; 2],
 }
 
 /// How well the reference was followed.
@@ -90,6 +126,19 @@ pub struct Following {
 /// # Errors
 /// When the effect `controller-mismatch` makes a controller that cannot run.
 pub fn run(program: &LoopProgram, plant: &mut impl Plant, effects: &EffectSet) -> Result<Vec<Tick>, ConfigError> {
+    run_pushed(program, plant, effects, |_, _| ())
+}
+
+/// The same with something done to the plant before each tick, by its time (s).
+///
+/// # Errors
+/// As [`run`].
+pub fn run_pushed<P: Plant>(
+    program: &LoopProgram,
+    plant: &mut P,
+    effects: &EffectSet,
+    mut before: impl FnMut(&mut P, f64),
+) -> Result<Vec<Tick>, ConfigError> {
     let mut spec = *program.config.spec();
     if let Some(e) = effects.controller_mismatch {
         spec.kp = I32F32::saturating_from_num(spec.kp.to_num::<f64>() * (1.0 + e.kp));
@@ -111,6 +160,7 @@ pub fn run(program: &LoopProgram, plant: &mut impl Plant, effects: &EffectSet) -
     let mut trace = Vec::with_capacity(ticks as usize);
     for tick in 0..ticks {
         let now_us = tick * period_us;
+        before(plant, now_us as f64 * 1e-6);
         let target = program.reference.at(now_us);
         let inputs = Inputs {
             target: target.position,
@@ -137,6 +187,10 @@ pub fn run(program: &LoopProgram, plant: &mut impl Plant, effects: &EffectSet) -
             duty,
             direction: outputs.direction,
             angle_rad: plant.position_rad(),
+            load_nm: state.load_nnm(&config).map(|torque| f64::from(torque) * 1e-9),
+            deviation: f64::from(state.deviation) / FINE,
+            full_counts_s: [state.rotor.full_cw, state.rotor.full_ccw]
+                .map(|full| f64::from(full) / FINE / (period_us as f64 * 1e-6)),
         });
         let until_s = (now_us + period_us) as f64 * 1e-6;
         pwm.advance(plant, until_s, &mut |segment| {

@@ -21,7 +21,8 @@
 //! From the bottom up: [`motor`] reads motor files into [`parameters`]; [`carrier`] and [`averaged`] integrate them;
 //! [`plant`] is the seam behind which [`motor_plant`] (either model, with the [`effects`] that live in a motor) and
 //! [`inertial`] (an ordinary motor) look alike; [`actuator`] is the PWM in front of a plant, [`sensor`] the encoder behind
-//! it, and [`simulate`] the three together; [`closed_loop`] puts the control step round them, and [`tracking`] says how well it followed;
+//! it, and [`simulate`] the three together; [`closed_loop`] puts the control step round them, [`tracking`] says how well it followed, and [`guidance`]
+//! how well it felt a hand;
 //! [`robust`] asks that of motors that differ, [`uncertainty`] draws those a motor file leaves possible. `docs/model.md` has the equations, what was corrected, and how far the models are apart.
 
 pub mod actuator;
@@ -34,6 +35,7 @@ pub mod check;
 pub mod closed_loop;
 pub mod contact;
 pub mod effects;
+pub mod guidance;
 mod half_contact_table;
 pub mod hypothesis;
 pub mod inertial;

@@ -68,6 +68,8 @@ pub struct MotorPlant {
     blend: Option<Box<Blend>>,
     /// Angle turned in the last on part (rad): half of it ahead is where an angle-dependent effect is looked at.
     last_turn_rad: f64,
+    /// Torque of a hand, clockwise (N·m).
+    hand_nm: f64,
 }
 
 impl MotorPlant {
@@ -109,6 +111,7 @@ impl MotorPlant {
         MotorPlant {
             blend: averaged.as_ref().filter(|_| blends).map(|model| Box::new(Blend::new(model))),
             last_turn_rad: 0.0,
+            hand_nm: 0.0,
             model: match solver {
                 Solver::Averaged => Model::Averaged(Box::new(Averaged::new(parameters, flavour))),
                 Solver::Carrier => Model::Carrier(Box::new(Carrier::new(parameters, flavour)), 0.0),
@@ -122,6 +125,12 @@ impl MotorPlant {
             longest_s: if moving { LONGEST_S } else { f64::INFINITY },
             changes: moving || fixed,
         }
+    }
+
+    /// A hand pushes the rotor clockwise from now on (N·m).
+    pub fn push(&mut self, torque_nm: f64) {
+        self.hand_nm = torque_nm;
+        self.changes = true;
     }
 
     /// What the motor will remember.
@@ -156,7 +165,7 @@ impl MotorPlant {
     fn modulation(&self, drive: Drive, time: f64, angle: f64) -> Modulation {
         let e = &self.effects;
         let sense = drive.sign();
-        let mut m = Modulation::NONE;
+        let mut m = Modulation { load_nm: -self.hand_nm, ..Modulation::NONE };
         if let Some(e) = e.resonance_heating {
             m.resonance_shift_hz -= e.shift_hz * self.history.warmth;
         }

@@ -3,8 +3,9 @@
 //! Each draw is one motor, the same for every controller, so that controllers are compared motor by motor. The loop is
 //! [`super::closed_loop::run`]'s: the chip's own step, the PWM, the encoder and the model of every other command.
 
-use super::closed_loop::{LoopProgram, Tick, following, run};
+use super::closed_loop::{Hand, LoopProgram, Tick, following, run_pushed};
 use super::effects::{EffectError, EffectSet};
+use super::guidance::Guidance;
 use super::motor::Motor;
 use super::motor_plant::{History, MotorPlant, Solver};
 use super::parameters::{Flavour, ParameterError, Parameters};
@@ -109,6 +110,8 @@ pub struct Study<'a> {
     pub target: Target,
     /// Load against positive rotation, as a share of the stall torque (1).
     pub load: f64,
+    /// A hand that pushes the rotor.
+    pub hand: Option<Hand>,
     /// Length of a run (s).
     pub seconds: f64,
     /// Motors drawn.
@@ -139,6 +142,9 @@ pub struct Outcome {
     pub miscount: i64,
     /// Whether the count was ever farther off its target than the board's following-error limit lets it.
     pub ran_away: bool,
+    /// How the controller felt the hand.
+    #[serde(skip)]
+    pub guidance: Option<Guidance>,
 }
 
 /// Median and 90 % of something over the draws.
@@ -165,6 +171,12 @@ pub struct Cell {
     pub miscount: Spread,
     /// Draws in which the board would have stopped the motor for its following error.
     pub ran_away: usize,
+    /// How the hand was felt: share of the time in which it was believed to be there, median and what nine in ten stay below.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub believed: Option<Spread>,
+    /// How far off what was believed was, mean amount of each draw that believed any (N·m).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hand_error_nm: Option<Spread>,
     /// Every draw, in order.
     #[serde(skip)]
     pub outcomes: Vec<Outcome>,
@@ -211,6 +223,9 @@ pub fn cell(study: &Study, candidate: &Candidate, rotor: &'static str, drawn: &[
     let outcomes =
         drawn.par_iter().map(|motor| follow(study, candidate, motor)).collect::<Result<Vec<_>, RobustError>>()?;
     let of = |f: &dyn Fn(&Outcome) -> f64| Spread::of(outcomes.iter().map(f).collect());
+    let felt: Vec<Guidance> = outcomes.iter().filter_map(|outcome| outcome.guidance).collect();
+    let some = |values: Vec<f64>| (!values.is_empty()).then(|| Spread::of(values));
+    let believing = felt.iter().filter(|felt| felt.believed > 0.0);
     Ok(Cell {
         rotor,
         controller: candidate.name.clone(),
@@ -218,6 +233,8 @@ pub fn cell(study: &Study, candidate: &Candidate, rotor: &'static str, drawn: &[
         counted_deg: of(&|o| o.counted_deg),
         miscount: of(&|o| o.miscount.unsigned_abs() as f64),
         ran_away: outcomes.iter().filter(|o| o.ran_away).count(),
+        hand_error_nm: some(believing.map(|felt| felt.mean_abs_error_nm).collect()),
+        believed: some(felt.iter().map(|felt| felt.believed).collect()),
         outcomes,
     })
 }
@@ -284,7 +301,8 @@ pub fn follow(study: &Study, candidate: &Candidate, motor: &Drawn) -> Result<Out
     let stall_nm = parameters.friction * parameters.preload_n * parameters.contact_radius_m;
     let loaded = Parameters { load_nm: parameters.load_nm + study.load * stall_nm, ..*parameters };
     let mut plant = MotorPlant::new(loaded, *flavour, Solver::Averaged, effects, History::default());
-    let trace = run(&program, &mut plant, effects)?;
+    let push = |plant: &mut MotorPlant, time_s| study.hand.iter().for_each(|hand| plant.push(hand.at(time_s)));
+    let trace = run_pushed(&program, &mut plant, effects, push)?;
     let followed = following(&program, &trace);
     let count_deg = 360.0 / f64::from(program.edges_per_rev);
     let wanted = |t: &Tick| study.target.at(t.time_s) * count_deg;
@@ -297,6 +315,7 @@ pub fn follow(study: &Study, candidate: &Candidate, motor: &Drawn) -> Result<Out
         true_deg: off / trace.len().max(1) as f64,
         miscount,
         ran_away: trace.iter().any(|t| t.target.abs_diff(t.position) > limit),
+        guidance: study.hand.and_then(|hand| Guidance::of(&hand, &trace)),
     })
 }
 
@@ -318,6 +337,7 @@ mod tests {
             motor,
             target: Target::Sine { amplitude: 89, omega_rad_s: 1.257 },
             load: 0.0,
+            hand: None,
             seconds: 1.0,
             draws,
             seed: 7,

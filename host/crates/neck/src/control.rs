@@ -5,32 +5,36 @@
 //! the same per degree, only its quantisation is finer. Duty steps are the actuator's and stay as they are.
 
 use fixed::types::{I16F48, I32F32};
-use serde::{Deserialize, Serialize};
+use twum_motor::parameters::Flavour;
+use twum_record::configuration::{ControllerError, controller};
 use twum_shared::step::{Config, ConfigError, ConfigSpec};
 
-/// The named controllers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Named {
-    /// [`ConfigSpec::THESIS`].
-    Thesis,
-    /// [`ConfigSpec::DEFAULT`].
-    Default,
-    /// [`ConfigSpec::GATED`].
-    Gated,
-    /// [`ConfigSpec::PLANNED`].
-    Planned,
+/// A controller, and what it is called.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Controller {
+    /// The name it was asked for by: one that ships, or a file's.
+    pub name: String,
+    /// The controller, tuned for [`TUNED_EDGES_PER_REV`].
+    pub spec: ConfigSpec,
 }
 
-impl Named {
-    /// The controller, tuned for [`TUNED_EDGES_PER_REV`].
-    pub const fn spec(self) -> ConfigSpec {
-        match self {
-            Self::Thesis => ConfigSpec::THESIS,
-            Self::Default => ConfigSpec::DEFAULT,
-            Self::Gated => ConfigSpec::GATED,
-            Self::Planned => ConfigSpec::PLANNED,
-        }
+impl Controller {
+    /// The controller of a name, or of a file.
+    ///
+    /// # Errors
+    /// Names the file, the key and what is wrong with it.
+    pub fn load(name: &str) -> Result<Self, ControllerError> {
+        Ok(Self { name: name.to_owned(), spec: controller(name)? })
+    }
+
+    /// The controller that a flavour of the motor is tried with unless asked otherwise: the thesis had its own model under its own
+    /// controller.
+    pub fn of(flavour: Flavour) -> Self {
+        let (name, spec) = match flavour {
+            Flavour::Thesis => ("thesis", ConfigSpec::THESIS),
+            Flavour::Physical | Flavour::Measured => ("default", ConfigSpec::DEFAULT),
+        };
+        Self { name: name.to_owned(), spec }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The setup of the thesis's exercises, and sessions made with it: for tests, examples and whoever draws them.
 
-use super::control::Named;
+use super::control::Controller;
 use super::disturbance::Disturbance;
 use super::exercise::Exercise;
 use super::kinematics::Wrist;
@@ -17,10 +17,7 @@ use twum_motor::parameters::Flavour;
 pub fn setup(flavour: Flavour) -> Setup {
     Setup {
         motor: JointMotor::load("pcbmotor-30mm", flavour, Solver::Averaged).unwrap(),
-        control: match flavour {
-            Flavour::Thesis => Named::Thesis,
-            Flavour::Physical | Flavour::Measured => Named::Default,
-        },
+        control: Controller::of(flavour),
         edges_per_rev: DEFAULT_EDGES_PER_REV,
         pwm_hz: 50.0,
         disturbance: Disturbance::default(),

@@ -1,6 +1,6 @@
 //! A session: one exercise, three joints, each a motor in its own position loop.
 
-use super::control::{Named, at_resolution};
+use super::control::{Controller, at_resolution};
 use super::disturbance::Disturbance;
 use super::exercise::{Exercise, Problem};
 use super::joint::{Common, JointTrace, Loop};
@@ -18,7 +18,7 @@ pub struct Setup {
     /// The motor at each joint.
     pub motor: JointMotor,
     /// The controller, tuned for 400 edges a revolution; see [`at_resolution`].
-    pub control: Named,
+    pub control: Controller,
     /// Resolution of the sensor at each joint, edges a revolution.
     pub edges_per_rev: u32,
     /// PWM frequency, Hz.
@@ -104,7 +104,7 @@ impl Setup {
                 return Err(SessionError::Bound { name, value, low, high, unit });
             }
         }
-        at_resolution(&self.control.spec(), self.edges_per_rev)
+        at_resolution(&self.control.spec, self.edges_per_rev)
             .map(|_| ())
             .map_err(|reason| SessionError::Control { edges_per_rev: self.edges_per_rev, reason })
     }
@@ -124,7 +124,7 @@ impl Setup {
     /// As [`Setup::simulate`], for the first exercise that cannot be done.
     pub fn simulate_all(&self, exercises: &[Exercise]) -> Result<Vec<Session>, SessionError> {
         self.check()?;
-        let config = at_resolution(&self.control.spec(), self.edges_per_rev)
+        let config = at_resolution(&self.control.spec, self.edges_per_rev)
             .map_err(|reason| SessionError::Control { edges_per_rev: self.edges_per_rev, reason })?;
         let tick_s = f64::from(config.spec().period_us) * 1e-6;
         let mut runs: Vec<Run> = Vec::new();

@@ -1,6 +1,6 @@
 //! A study: every combination of exercises, motors, controllers, disturbances and sensors, one case a row of a CSV file.
 
-use super::control;
+use super::control::Controller;
 use super::disturbance::Disturbance;
 use super::exercise::{Exercise, ExerciseError};
 use super::kinematics::{JOINTS, Wrist};
@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use twum_motor::motor::MotorError;
 use twum_motor::motor_plant::Solver;
 use twum_motor::parameters::Flavour;
+use twum_record::configuration::ControllerError;
 
 /// Most cases a study may have.
 const MOST_CASES: usize = 1_000_000;
@@ -29,8 +30,8 @@ pub struct Study {
     pub motors: Vec<String>,
     /// Flavours of the motor model.
     pub flavours: Vec<Flavour>,
-    /// Controllers.
-    pub controls: Vec<control::Named>,
+    /// Controllers: names or files.
+    pub controls: Vec<String>,
     /// Sensor resolutions, edges a revolution.
     pub edges_per_rev: Vec<u32>,
     /// PWM frequencies, Hz.
@@ -49,7 +50,7 @@ impl Default for Study {
             exercises: Exercise::SHIPPED.map(str::to_owned).to_vec(),
             motors: vec!["pcbmotor-30mm".to_owned()],
             flavours: vec![Flavour::Physical],
-            controls: vec![control::Named::Default],
+            controls: vec!["default".to_owned()],
             edges_per_rev: vec![DEFAULT_EDGES_PER_REV],
             pwm_hz: vec![50.0],
             disturbance_deg: vec![5.0],
@@ -87,6 +88,9 @@ pub enum StudyError {
     /// A motor that cannot be had.
     #[error(transparent)]
     Motor(#[from] MotorError),
+    /// A controller that cannot be had.
+    #[error(transparent)]
+    Control(#[from] ControllerError),
 }
 
 /// A case and what came of it: a row of the CSV file.
@@ -99,7 +103,7 @@ pub struct Row {
     /// Flavour of its model.
     pub flavour: Flavour,
     /// The controller.
-    pub control: control::Named,
+    pub control: String,
     /// Sensor resolution, edges a revolution.
     pub edges_per_rev: u32,
     /// PWM frequency, Hz.
@@ -185,6 +189,7 @@ impl Study {
             return Err(StudyError::Cases(cases));
         }
         let exercises = self.exercises.iter().map(|name| Exercise::load(name)).collect::<Result<Vec<_>, _>>()?;
+        let controls = self.controls.iter().map(|name| Controller::load(name)).collect::<Result<Vec<_>, _>>()?;
         let mut motors = Vec::new();
         for name in &self.motors {
             for &flavour in &self.flavours {
@@ -200,7 +205,7 @@ impl Study {
                 if stop.load(Ordering::Relaxed) {
                     return Vec::new();
                 }
-                let rows = self.setup_rows(index, &motors, &exercises);
+                let rows = self.setup_rows(index, &motors, &controls, &exercises);
                 done(finished.fetch_add(rows.len(), Ordering::Relaxed) + rows.len());
                 rows
             })
@@ -212,7 +217,13 @@ impl Study {
     }
 
     /// The rows of one setup, an exercise each; `index` counts the setups with the last list fastest.
-    fn setup_rows(&self, index: usize, motors: &[(&str, Flavour, JointMotor)], exercises: &[Exercise]) -> Vec<Row> {
+    fn setup_rows(
+        &self,
+        index: usize,
+        motors: &[(&str, Flavour, JointMotor)],
+        controls: &[Controller],
+        exercises: &[Exercise],
+    ) -> Vec<Row> {
         let mut rest = index;
         let mut pick = |length: usize| {
             let index = rest % length;
@@ -224,11 +235,11 @@ impl Study {
         let amplitude_deg = self.disturbance_deg[pick(self.disturbance_deg.len())];
         let pwm_hz = self.pwm_hz[pick(self.pwm_hz.len())];
         let edges_per_rev = self.edges_per_rev[pick(self.edges_per_rev.len())];
-        let control = self.controls[pick(self.controls.len())];
+        let control = &controls[pick(controls.len())];
         let (motor_name, flavour, motor) = &motors[pick(motors.len())];
         let setup = Setup {
             motor: motor.clone(),
-            control,
+            control: control.clone(),
             edges_per_rev,
             pwm_hz,
             disturbance: Disturbance { amplitude_deg, frequency_hz, phase_deg, joints: [true; JOINTS] },
@@ -246,7 +257,7 @@ impl Study {
                 exercise: exercise.name().to_owned(),
                 motor: (*motor_name).to_owned(),
                 flavour: *flavour,
-                control,
+                control: control.name.clone(),
                 edges_per_rev,
                 pwm_hz,
                 disturbance_deg: amplitude_deg,
@@ -326,6 +337,8 @@ mod tests {
         assert!(empty.run(&GO, |_| ()).unwrap_err().to_string().contains("0 cases"));
         let unknown = Study { exercises: vec!["nodding".to_owned()], ..small() };
         assert!(unknown.run(&GO, |_| ()).unwrap_err().to_string().contains("no exercise `nodding`"));
+        let unknown = Study { controls: vec!["pid".to_owned()], ..small() };
+        assert!(unknown.run(&GO, |_| ()).unwrap_err().to_string().contains("pid"));
         let error = Study::parse("edges = [1]", Path::new("mine.toml")).unwrap_err().to_string();
         assert!(error.contains("mine.toml") && error.contains("edges"), "{error}");
     }

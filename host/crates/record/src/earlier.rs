@@ -1,7 +1,7 @@
-//! Frames of recordings made with earlier protocol versions. The messages have only gained variants since, but for five things: in
+//! Frames of recordings made with earlier protocol versions. The messages have only gained variants since, but for six things: in
 //! version 1 what the host said had no session and no pass, until version 2 a configuration did not say how slow a motor may be,
-//! until version 3 no controller waited with a reversal, until version 4 none had a model of its rotor, and until version 5 none made
-//! one pulse a period.
+//! until version 3 no controller waited with a reversal, until version 4 none had a model of its rotor, until version 5 none made
+//! one pulse a period, and until version 6 each learnt its rotor and no target gave way to a load.
 
 use fixed::types::{I16F48, I32F32};
 use serde::Deserialize;
@@ -11,7 +11,7 @@ use twum_shared::frame::{self, FrameError, Header, Opened, PROTOCOL_VERSION};
 use twum_shared::message::{BLOCK_SAMPLES, ControlBlock, ControlSample};
 use twum_shared::message::{CaptureMode, Configuration, DeviceMessage, HostMessage, Pass, SpeedRun, TrackRun};
 use twum_shared::safety::Limits;
-use twum_shared::step::{ConfigSpec, DriveLaw, Reversal, Rotor, State};
+use twum_shared::step::{ConfigSpec, DriveLaw, GuideSpec, Reversal, Rotor, State};
 
 /// A message that recordings hold.
 pub(super) trait Recorded: frame::Message {
@@ -34,7 +34,8 @@ fn configuration(version: u8, frame: &Opened<'_>) -> Option<Configuration> {
         1 | 2 => held::<Configuration2, _>(frame),
         3 => held::<Configuration3, _>(frame),
         4 => held::<Configuration4, _>(frame),
-        _ => held::<Configuration5, _>(frame),
+        5 => held::<Configuration5, _>(frame),
+        _ => held::<Configuration6, _>(frame),
     }
 }
 
@@ -44,7 +45,8 @@ impl Recorded for DeviceMessage {
             (Some(&CONFIGURED), _) => configuration(version, frame).map(Self::Configured),
             (Some(&CONTROL), 1..=3) => held::<ControlBlock3, _>(frame).map(Self::Control),
             (Some(&CONTROL), 4) => held::<ControlBlock4, _>(frame).map(Self::Control),
-            (Some(&CONTROL), _) => held::<ControlBlock5, _>(frame).map(Self::Control),
+            (Some(&CONTROL), 5) => held::<ControlBlock5, _>(frame).map(Self::Control),
+            (Some(&CONTROL), _) => held::<ControlBlock6, _>(frame).map(Self::Control),
             _ => frame.message(),
         }
     }
@@ -126,11 +128,25 @@ type Configuration2 = Earlier<ConfigSpec3, Limits2>;
 type Configuration3 = Earlier<ConfigSpec3, Limits>;
 type Configuration4 = Earlier<ConfigSpec4, Limits>;
 type Configuration5 = Earlier<ConfigSpec5, Limits>;
+type Configuration6 = Earlier<ConfigSpec6, Limits>;
 
 impl<C: Into<ConfigSpec>, L: Into<Limits>> From<Earlier<C, L>> for Configuration {
     fn from(old: Earlier<C, L>) -> Self {
         let Earlier { control, limits, count_sign, edges_per_rev, pwm_hz } = old;
         Self { control: control.into(), limits: limits.into(), count_sign, edges_per_rev, pwm_hz }
+    }
+}
+
+/// A controller of version 6: its target did not give way.
+#[derive(Deserialize)]
+struct ConfigSpec6 {
+    before: ConfigSpec5,
+    pulse_period_ticks: u8,
+}
+
+impl From<ConfigSpec6> for ConfigSpec {
+    fn from(ConfigSpec6 { before, pulse_period_ticks }: ConfigSpec6) -> Self {
+        Self { pulse_period_ticks, ..before.into() }
     }
 }
 
@@ -148,8 +164,16 @@ impl From<ConfigSpec5> for ConfigSpec {
     fn from(old: ConfigSpec5) -> Self {
         let ConfigSpec5 { before, full_speed_counts_s, braking_counts_s2, delay_ticks, shortest_pulse_ticks } = old;
         let before = Self::from(before);
-        let pulse_period_ticks = u8::from(before.law == DriveLaw::Gated);
-        Self { full_speed_counts_s, braking_counts_s2, delay_ticks, shortest_pulse_ticks, pulse_period_ticks, ..before }
+        let is_gated = before.law == DriveLaw::Gated;
+        Self {
+            full_speed_counts_s,
+            braking_counts_s2,
+            delay_ticks,
+            shortest_pulse_ticks,
+            pulse_period_ticks: u8::from(is_gated),
+            learns: is_gated,
+            ..before
+        }
     }
 }
 
@@ -205,6 +229,8 @@ impl From<ConfigSpec3> for ConfigSpec {
             delay_ticks: 0,
             shortest_pulse_ticks: 0,
             pulse_period_ticks: 0,
+            learns: false,
+            guide: GuideSpec::OFF,
         }
     }
 }
@@ -221,6 +247,7 @@ struct EarlierBlock<S, T> {
 type ControlBlock3 = EarlierBlock<State3, ControlSample4>;
 type ControlBlock4 = EarlierBlock<State4, ControlSample4>;
 type ControlBlock5 = EarlierBlock<State5, ControlSample>;
+type ControlBlock6 = EarlierBlock<State6, ControlSample>;
 
 impl<S: Into<State>, T: Into<ControlSample>> From<EarlierBlock<S, T>> for ControlBlock {
     fn from(old: EarlierBlock<S, T>) -> Self {
@@ -279,6 +306,29 @@ impl From<State5> for State {
         let Rotor5 { count, place, speed, full_cw, full_ccw, braking, on, cw, held } = rotor;
         let rotor = Rotor { count, place, speed, full_cw, full_ccw, braking, on, cw, held, ..Rotor::REST };
         Self { rotor, ..before.into() }
+    }
+}
+
+#[derive(Deserialize)]
+struct State6 {
+    before: State4,
+    rotor: Rotor6,
+}
+
+/// What a gated drive of version 6 believed.
+#[derive(Deserialize)]
+struct Rotor6 {
+    before: Rotor5,
+    since: u8,
+    driven: i32,
+    coasted: i32,
+}
+
+impl From<State6> for State {
+    fn from(State6 { before, rotor }: State6) -> Self {
+        let Rotor6 { before: rotor, since, driven, coasted } = rotor;
+        let before = Self::from(State5 { before, rotor });
+        Self { rotor: Rotor { since, driven, coasted, ..before.rotor }, ..before }
     }
 }
 

@@ -17,6 +17,7 @@
 //! ```
 
 pub mod check;
+pub mod configuration;
 pub mod control;
 pub mod convert;
 pub mod decode;

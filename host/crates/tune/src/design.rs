@@ -27,7 +27,7 @@ impl Facts {
     pub fn of(identified: &Identified) -> Result<Self, FitError> {
         let motor = identified.best()?;
         let edges = f64::from(identified.edges_per_rev);
-        let rpm = 0.5 * (identified.full_cw_rpm.value + identified.full_ccw_rpm.value);
+        let rpm = 0.5 * (identified.full_cw_rpm.median + identified.full_ccw_rpm.median);
         let Parameters { rotor_inertia_kg_m2, .. } = motor.parameters;
         let braking_rad_s2 = motor.parameters.off_friction_nm(motor.flavour) / rotor_inertia_kg_m2;
         Ok(Self {

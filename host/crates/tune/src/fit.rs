@@ -7,9 +7,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use serde::Serialize;
+use serde::ser::{SerializeStruct, Serializer};
 use thiserror::Error;
 use twum_fit::least_squares::{Point, Search};
-use twum_fit::quantile::{INTERVAL_95, quantiles};
 use twum_identify::force_factor::observe::{Observed, RUN_UP_S, observe, scatter};
 use twum_motor::actuator::Pwm;
 use twum_motor::effects::{EffectError, EffectSet};
@@ -18,6 +18,7 @@ use twum_motor::motor_plant::{History, MotorPlant, Solver};
 use twum_motor::parameters::{Flavour, ParameterError, Parameters};
 use twum_motor::plant::{Direction, Plant};
 use twum_motor::robust::{Drawn, add_nuisance, stream};
+use twum_motor::uncertainty::Band;
 use twum_record::measurement::Measurement;
 
 use super::plan::SECONDS;
@@ -96,15 +97,6 @@ pub struct FittedRun {
     pub model_rpm: f64,
 }
 
-/// A value with its 95 % interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Estimate {
-    /// Middle of the motors that agree with the runs.
-    pub value: f64,
-    /// Where 95 % of them lie.
-    pub ci95: [f64; 2],
-}
-
 /// One reading of the model, fitted.
 #[derive(Debug, Clone)]
 struct Fit {
@@ -123,13 +115,17 @@ pub struct Identified {
     /// Readings that agree, the best first, with their share of the motors drawn.
     pub readings: Vec<(Flavour, f64)>,
     /// Speed at full drive, clockwise (rpm).
-    pub full_cw_rpm: Estimate,
+    #[serde(serialize_with = "as_value")]
+    pub full_cw_rpm: Band,
     /// Counter-clockwise (rpm).
-    pub full_ccw_rpm: Estimate,
+    #[serde(serialize_with = "as_value")]
+    pub full_ccw_rpm: Band,
     /// Torque that brakes the rotor with the drive off (N·m).
-    pub braking_nm: Estimate,
+    #[serde(serialize_with = "as_value")]
+    pub braking_nm: Band,
     /// Duty below which nothing moves (1).
-    pub dead_zone: Estimate,
+    #[serde(serialize_with = "as_value")]
+    pub dead_zone: Band,
     /// Factor by which the model misses the speeds beyond their scatter; 1 is none.
     pub misfit: f64,
     /// Each run.
@@ -140,6 +136,14 @@ pub struct Identified {
     pub notes: Vec<String>,
     #[serde(skip)]
     fits: Vec<Fit>,
+}
+
+/// A band as the JSON of `twum tune` has always had it: its median is `value`.
+fn as_value<S: Serializer>(band: &Band, to: S) -> Result<S::Ok, S::Error> {
+    let mut told = to.serialize_struct("Band", 2)?;
+    told.serialize_field("value", &band.median)?;
+    told.serialize_field("ci95", &band.ci95)?;
+    told.end()
 }
 
 /// A speed to be had: duty, PWM frequency, sense.
@@ -187,10 +191,10 @@ pub fn identify(measurement: &Measurement, motor: &Motor, seed: u64) -> Result<I
     let mut identified = Identified {
         flavour: fits[0].speeds.flavour,
         readings: shares(&fits),
-        full_cw_rpm: Estimate::of(Vec::new()),
-        full_ccw_rpm: Estimate::of(Vec::new()),
-        braking_nm: Estimate::of(Vec::new()),
-        dead_zone: Estimate::of(Vec::new()),
+        full_cw_rpm: Band::of(Vec::new()),
+        full_ccw_rpm: Band::of(Vec::new()),
+        braking_nm: Band::of(Vec::new()),
+        dead_zone: Band::of(Vec::new()),
         misfit: fits[0].point.misfit,
         notes: notes(&fits[0], &observed),
         runs,
@@ -376,13 +380,6 @@ fn notes(best: &Fit, observed: &[Observed]) -> Vec<String> {
     notes
 }
 
-impl Estimate {
-    fn of(sample: Vec<f64>) -> Self {
-        let [low, value, high] = quantiles(sample, [INTERVAL_95[0], 0.5, INTERVAL_95[1]]);
-        Self { value, ci95: [low, high] }
-    }
-}
-
 impl Identified {
     /// A motor that agrees with the runs.
     fn agreeing(&self, rng: &mut ChaCha8Rng) -> Result<(&Speeds, Drawn), FitError> {
@@ -464,12 +461,12 @@ impl Identified {
         let full = |sign: f64| -> Vec<f64> {
             motors.par_iter().map(|motor| mean_rpm(motor, (1.0, 50.0, sign), 2.0 * RUN_UP_S)).collect()
         };
-        self.full_cw_rpm = Estimate::of(full(1.0));
-        self.full_ccw_rpm = Estimate::of(full(-1.0));
+        self.full_cw_rpm = Band::of(full(1.0));
+        self.full_ccw_rpm = Band::of(full(-1.0));
         self.braking_nm =
-            Estimate::of(motors.iter().map(|motor| motor.parameters.off_friction_nm(motor.flavour)).collect());
+            Band::of(motors.iter().map(|motor| motor.parameters.off_friction_nm(motor.flavour)).collect());
         let dead = |motor: &Drawn| motor.effects.dead_zone.map_or(0.0, |e| e.threshold_duty);
-        self.dead_zone = Estimate::of(motors.iter().map(dead).collect());
+        self.dead_zone = Band::of(motors.iter().map(dead).collect());
         Ok(())
     }
 }

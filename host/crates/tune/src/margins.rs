@@ -9,12 +9,14 @@
 
 use fixed::types::{I16F48, I32F32};
 use serde::Serialize;
+use thiserror::Error;
 use twum_motor::closed_loop::{LoopProgram, Tick, run};
 use twum_motor::effects::EffectSet;
 use twum_motor::motor::Motor;
 use twum_motor::motor_plant::{History, MotorPlant, Solver};
 use twum_motor::parameters::Flavour;
 use twum_motor::robust::Drawn;
+use twum_shared::message::Configuration;
 use twum_shared::reference::Reference;
 use twum_shared::step::{Config, ConfigError, ConfigSpec};
 
@@ -159,6 +161,44 @@ impl Margins {
 /// When the controller cannot run.
 pub fn holds(rig: &Rig, spec: &ConfigSpec) -> Result<Result<(), Swings>, ConfigError> {
     Ok(rig.answer(spec, 1.0, 0.0)?.map_or(Ok(()), Err))
+}
+
+/// Why a board is not given a configuration.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum Refused {
+    /// The controller cannot run.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// It swings.
+    #[error("[control]: {swings} ({motor})")]
+    Unstable {
+        /// The motor on which it does, in whatever reading of it.
+        motor: String,
+        /// By how much, in the first reading.
+        swings: Swings,
+    },
+}
+
+/// Refuses a configuration whose controller swings, or runs away, in every one of these readings of the motor; without a reading none.
+/// What ships was tried.
+///
+/// # Errors
+/// How far it swings, and on which motor.
+pub fn refuse_unstable(configuration: &Configuration, readings: &[(Motor, Flavour)]) -> Result<(), Refused> {
+    let spec = &configuration.control;
+    if ConfigSpec::NAMED.iter().any(|(_, ships)| ships == spec) {
+        return Ok(());
+    }
+    let mut refused = Ok(());
+    for (motor, flavour) in readings {
+        let edges_per_rev = u32::from(configuration.edges_per_rev);
+        let rig = Rig { edges_per_rev, pwm_hz: Some(f64::from(configuration.pwm_hz)), ..Rig::of(motor, *flavour) };
+        match holds(&rig, spec)? {
+            Ok(()) => return Ok(()),
+            Err(swings) => refused = refused.and(Err(Refused::Unstable { motor: motor.name.clone(), swings })),
+        }
+    }
+    refused
 }
 
 /// The largest value up to `most` at which, and at all tried below it, something holds; and whether that is `most`.

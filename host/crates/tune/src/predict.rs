@@ -6,8 +6,7 @@ use super::margins::{Margins, Rig, Swings};
 use rayon::prelude::*;
 use serde::Serialize;
 use thiserror::Error;
-use twum_motor::motor::Motor;
-use twum_motor::robust::{Candidate, Drawn, RobustError, Spread, Study, Target, cell};
+use twum_motor::robust::{Candidate, Drawn, RobustError, Spread, Study, cell};
 use twum_shared::step::{Config, ConfigError, ConfigSpec};
 
 /// A controller for the motor, and what is to be expected of it.
@@ -48,52 +47,24 @@ pub enum TuneError {
     Robust(#[from] RobustError),
 }
 
-/// What the controllers are to follow, and how many motors they are tried on.
-#[derive(Debug, Clone, Copy)]
-pub struct Question<'a> {
-    /// The motor file that the fit started from.
-    pub motor: &'a Motor,
-    /// Amplitude of the sine (counts).
-    pub amplitude: i32,
-    /// Its angular frequency (rad/s).
-    pub omega_rad_s: f64,
-    /// Length of a run (s).
-    pub seconds: f64,
-    /// Motors drawn.
-    pub draws: u64,
-    /// Seed of the draws.
-    pub seed: u64,
-    /// Crossover of the loops that have gains (rad/s).
-    pub bandwidth_rad_s: f64,
-}
-
-/// Designs the named controllers for a motor that was identified, and tries them.
+/// Designs the named controllers for a motor that was identified, with a crossover (rad/s) of those that have gains, and tries them
+/// on as many motors that agree as the study draws. The study's own motor is the file that the fit started from.
 ///
 /// # Errors
 /// When a controller cannot run, or a motor leaves the model's bounds.
-pub fn tune(identified: &Identified, question: &Question) -> Result<Vec<Tuned>, TuneError> {
+pub fn tune(identified: &Identified, study: &Study, bandwidth_rad_s: f64) -> Result<Vec<Tuned>, TuneError> {
     let facts = Facts::of(identified)?;
     let rig = Rig { motor: identified.best()?, edges_per_rev: identified.edges_per_rev, pwm_hz: None };
-    let motors: Vec<Drawn> = (0..question.draws)
-        .into_par_iter()
-        .map(|index| identified.draw(question.seed, index))
-        .collect::<Result<_, _>>()?;
-    let study = Study {
-        motor: question.motor,
-        target: Target::Sine { amplitude: question.amplitude, omega_rad_s: question.omega_rad_s },
-        load: 0.0,
-        seconds: question.seconds,
-        draws: question.draws,
-        seed: question.seed,
-    };
+    let motors: Vec<Drawn> =
+        (0..study.draws).into_par_iter().map(|index| identified.draw(study.seed, index)).collect::<Result<_, _>>()?;
     ConfigSpec::NAMED
         .iter()
         .map(|(name, from)| {
-            let spec = design(from, &facts, question.bandwidth_rad_s);
+            let spec = design(from, &facts, bandwidth_rad_s);
             let config = Config::try_from(spec)?;
             let pwm_hz = spec.pwm_hz();
             let candidate = Candidate { name: (*name).to_owned(), config, pwm_hz: f64::from(pwm_hz) };
-            let found = cell(&study, &candidate, "as identified", &motors)?;
+            let found = cell(study, &candidate, "as identified", &motors)?;
             let margins = Margins::of(&rig, &spec)?;
             Ok(Tuned {
                 name: (*name).to_owned(),

@@ -4,12 +4,13 @@ use super::super::existing::ExistingArgs;
 use super::super::output::stage;
 use super::super::units;
 use super::{Common, print_json};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
 use twum_host::configuration::controller;
-use twum_host::model::closed_loop::{Following, LoopProgram, Tick, following, run as run_loop};
+use twum_host::model::closed_loop::{Following, Hand, LoopProgram, Tick, following, run as run_loop, run_pushed};
+use twum_host::model::guidance::Guidance;
 use twum_host::model::motor::Motor;
 use twum_host::model::motor_plant::{History, MotorPlant};
 use twum_host::model::robust::Drawn;
@@ -34,6 +35,9 @@ pub struct Args {
     /// Angular frequency of the sine (rad/s)
     #[arg(long, default_value_t = 1.257)]
     omega: f64,
+    /// A hand pushes the rotor clockwise from a quarter of the run on: N·m:HZ, a sine, or N·m, a ramp up to that
+    #[arg(long, value_name = "N·m[:HZ]", allow_hyphen_values = true)]
+    hand: Option<String>,
     /// Count edges in the rotor's true sense, not the direction pin's: what no one-line encoder can do
     #[arg(long)]
     true_sense: bool,
@@ -48,6 +52,10 @@ pub struct Args {
 struct LoopAnswer {
     #[serde(flatten)]
     following: Following,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    guidance: Option<Guidance>,
+    /// Speed at full drive that a controller with a model of its rotor believes in the end, either way.
+    full_counts_s: [f64; 2],
     ticks: usize,
     wall_s: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -82,13 +90,14 @@ impl Bands {
 }
 
 pub fn run(args: Args) -> Result<()> {
-    let Args { common, control, amplitude, omega, true_sense, csv, existing } = args;
+    let Args { common, control, amplitude, omega, hand, true_sense, csv, existing } = args;
     let spec = controller(&control).context("--control")?;
     let common = Common { pwm_hz: common.pwm_hz.or(Some(f64::from(spec.pwm_hz()))), ..common };
     let setup = common.setup(1.0, 10.0)?;
     if let Some(path) = &csv {
         output::may_write(path, existing.into())?;
     }
+    let hand = hand.map(|text| self::hand(&text, setup.seconds)).transpose()?;
     let reference = units::sine(amplitude, omega).context("--amplitude or --omega")?;
     let program = LoopProgram {
         config: Config::try_from(spec)?,
@@ -111,14 +120,19 @@ pub fn run(args: Args) -> Result<()> {
     let mut plant = MotorPlant::new(setup.parameters, setup.flavour, setup.solver, &effects, History::default());
     let began = std::time::Instant::now();
     let waiting = stage("simulating the closed loop");
-    let trace = run_loop(&program, &mut plant, &effects)?;
+    let trace = match &hand {
+        Some(hand) => run_pushed(&program, &mut plant, &effects, |plant, time_s| plant.push(hand.at(time_s)))?,
+        None => run_loop(&program, &mut plant, &effects)?,
+    };
     waiting.finish_and_clear();
     let wall_s = began.elapsed().as_secs_f64();
     let following = following(&program, &trace);
+    let guidance = hand.and_then(|hand| Guidance::of(&hand, &trace));
     let bands = common.possible(&setup)?.map(|motors| Bands::of(&program, &motors)).transpose()?;
     if common.json {
         let uncertainty = bands.as_ref().map(|bands| common.uncertainty.json(serde_json::json!(bands)));
-        print_json(&LoopAnswer { following, ticks: trace.len(), wall_s, uncertainty })?;
+        let full_counts_s = trace.last().map_or([0.0; 2], |tick| tick.full_counts_s);
+        print_json(&LoopAnswer { following, guidance, full_counts_s, ticks: trace.len(), wall_s, uncertainty })?;
     } else {
         println!("counted  {:.3} deg2 MSE, {:.3} deg mean |error|", following.mse_deg2, following.mean_abs_deg);
         println!(
@@ -135,6 +149,16 @@ pub fn run(args: Args) -> Result<()> {
             );
         }
         println!("the count ended {} counts off the true position", following.miscount);
+        let believed = trace.last().map_or([0.0; 2], |tick| tick.full_counts_s);
+        if believed != [0.0; 2] {
+            let [cw, ccw] = believed;
+            println!(
+                "the controller ended believing in {cw:.0} counts/s clockwise at full drive, {ccw:.0} the other way"
+            );
+        }
+        if let Some(guidance) = guidance {
+            println!("{}", words(&guidance));
+        }
     }
     if let Some(path) = csv {
         let mut out = Output::begin(&path, existing.into())?;
@@ -142,6 +166,39 @@ pub fn run(args: Args) -> Result<()> {
         out.finish()?;
     }
     common.draw(|| Ok(loop_figure(&program, &trace, &setup)))
+}
+
+/// A hand of the command line, in a run so long (s).
+pub fn hand(text: &str, seconds: f64) -> Result<Hand> {
+    let (torque, hz) = text.split_once(':').unwrap_or((text, "0"));
+    let number = |word: &str| -> Result<f64> {
+        let value: f64 = word.trim().parse().with_context(|| format!("--hand {text}: `{word}` is not a number"))?;
+        // Any torque that a hand has, and any frequency.
+        if !(-10.0..=100.0).contains(&value) {
+            bail!("--hand {text}: {value} is outside -10 ..= 100");
+        }
+        Ok(value)
+    };
+    let (torque_nm, frequency_hz) = (number(torque)?, number(hz)?);
+    if frequency_hz < 0.0 {
+        bail!("--hand {text}: a frequency is not negative");
+    }
+    Ok(Hand { torque_nm, frequency_hz, from_s: 0.25 * seconds, until_s: seconds })
+}
+
+fn words(g: &Guidance) -> String {
+    if g.believed == 0.0 {
+        return format!("hand     {:.1} uN·m in the mean; never believed to be there", 1e6 * g.mean_abs_hand_nm);
+    }
+    format!(
+        "hand     {:.1} uN·m in the mean; believed {:.0} % of the time, then {:.1} uN·m off in the mean, {:+.1} on the whole; \
+         the target left its path by up to {:.1} counts",
+        1e6 * g.mean_abs_hand_nm,
+        100.0 * g.believed,
+        1e6 * g.mean_abs_error_nm,
+        1e6 * g.mean_error_nm,
+        g.farthest_counts
+    )
 }
 
 /// The `control` format of a measurement folder.

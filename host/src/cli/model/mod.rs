@@ -120,6 +120,9 @@ struct Common {
     flavour: FlavourArgs,
     #[command(flatten)]
     uncertainty: UncertaintyArgs,
+    /// Effects beside the motor file's own: a file of [effects.NAME] tables, as in a motor file
+    #[arg(long, value_name = "FILE")]
+    effects: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -142,9 +145,15 @@ impl Common {
             SolverArg::Carrier => Solver::Carrier,
         };
         let motor = Motor::load(&self.motor)?;
+        let mut effects = motor.effects();
+        if let Some(file) = &self.effects {
+            for (effect, values) in Motor::effects_of_file(file)?.present() {
+                effects.set(effect.name, &values)?;
+            }
+        }
         let setup = Setup {
             parameters: motor.parameters(flavour).assign(&self.set).context("--set")?,
-            effects: motor.effects(),
+            effects,
             flavour,
             solver,
             duty,

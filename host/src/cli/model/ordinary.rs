@@ -30,9 +30,9 @@ impl Common {
     /// The saved ordinary motor, where `--motor` is one.
     pub fn ordinary(&self) -> Result<Option<Model>> {
         let Some(model) = Model::find(&self.motor)? else { return Ok(None) };
-        if !self.set.is_empty() || self.pwm_hz.is_some() {
+        if !self.set.is_empty() || self.pwm_hz.is_some() || self.effects.is_some() {
             bail!(
-                "{}: --set and --pwm-hz are of a TWUM; an ordinary motor's numbers are changed in its file",
+                "{}: --set, --pwm-hz and --effects are of a TWUM; an ordinary motor's numbers are changed in its file",
                 self.motor
             );
         }

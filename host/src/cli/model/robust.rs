@@ -3,6 +3,7 @@
 use super::super::existing::ExistingArgs;
 use super::super::output::{print_table, stage};
 use super::super::units;
+use super::closed_loop::hand;
 use anyhow::{Context, Result, bail};
 use serde_json::json;
 use std::path::PathBuf;
@@ -53,6 +54,9 @@ pub struct Args {
     /// A load against positive rotation, as a share of the stall torque
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_hyphen_values = true)]
     load: f64,
+    /// A hand pushes the rotor clockwise from a quarter of the run on: N·m:HZ, a sine, or N·m, a ramp up to that
+    #[arg(long, value_name = "N·m[:HZ]", allow_hyphen_values = true)]
+    hand: Option<String>,
     /// Draw the true error over the frequencies of --sines to this file, .svg, .png or .html
     #[arg(long, value_name = "FILE", requires = "sines")]
     plot: Option<PathBuf>,
@@ -80,6 +84,7 @@ pub fn run(args: Args) -> Result<()> {
     if !(-0.95..=0.95).contains(&args.load) {
         bail!("--load {} is not within 0.95 of the stall torque either way", args.load);
     }
+    let hand = args.hand.as_deref().map(|text| hand(text, args.seconds)).transpose()?;
     let targets = targets(&args)?;
     let rotors = args.rotor.iter().map(|name| rotor(name)).collect::<Result<Vec<_>>>()?;
     let motor = Motor::load(&args.motor)?;
@@ -90,8 +95,8 @@ pub fn run(args: Args) -> Result<()> {
     let waiting = stage("following with every motor");
     let mut found: Vec<(Target, Vec<Cell>)> = Vec::new();
     for target in targets {
-        let study =
-            Study { motor: &motor, target, load: args.load, seconds: args.seconds, draws: args.draws, seed: args.seed };
+        let (motor, load, seconds) = (&motor, args.load, args.seconds);
+        let study = Study { motor, target, load, hand, seconds, draws: args.draws, seed: args.seed };
         found.push((target, robust(&study, &candidates, &rotors)?));
     }
     waiting.finish_and_clear();
@@ -180,6 +185,14 @@ fn print_cells(cells: &[Cell]) {
     });
     let header = ["rotor", "controller", "true (deg)", "counted (deg)", "counts lost", "ran away"];
     print_table(&header, &rows.collect::<Vec<_>>());
+    for cell in cells {
+        let Some(believed) = cell.believed else { continue };
+        let off = cell.hand_error_nm.map_or_else(String::new, |off| {
+            format!(", then off by {:.1} / {:.1} uN·m", 1e6 * off.median, 1e6 * off.p90)
+        });
+        let percent = Spread { median: 100.0 * believed.median, p90: 100.0 * believed.p90 };
+        println!("{}, {}: the hand is believed {} % of the time{off}", cell.rotor, cell.controller, spread(percent, 0));
+    }
 }
 
 /// True error over frequency: a panel a rotor, the median and up to what nine in ten stay below.

@@ -2,7 +2,6 @@
 
 use crate::model::motor_plant::Solver;
 use crate::model::parameters::Flavour;
-use crate::neck::control::Named;
 use crate::neck::kinematics::JOINTS;
 use crate::neck::score::{Guidance, HAPTIC_FORCE_N, STATED_STALL_NM, Score};
 use crate::neck::session::Setup;
@@ -40,7 +39,7 @@ pub struct SetupSummary {
     /// How the model is solved.
     pub solver: Solver,
     /// The controller.
-    pub control: Named,
+    pub control: String,
     /// Sensor resolution, edges a revolution.
     pub edges_per_rev: u32,
     /// PWM frequency, Hz.
@@ -113,7 +112,7 @@ impl Report {
                 motor: setup.motor.name().to_owned(),
                 flavour: setup.motor.flavour(),
                 solver: setup.motor.solver(),
-                control: setup.control,
+                control: setup.control.name.clone(),
                 edges_per_rev: setup.edges_per_rev,
                 pwm_hz: setup.pwm_hz,
                 disturbance_deg: setup.disturbance.amplitude_deg,
@@ -159,12 +158,7 @@ impl Report {
                 Solver::Averaged => "averaged",
                 Solver::Carrier => "carrier",
             },
-            match s.control {
-                Named::Thesis => "thesis",
-                Named::Default => "default",
-                Named::Gated => "gated",
-                Named::Planned => "planned",
-            },
+            s.control,
             s.edges_per_rev,
             s.pwm_hz,
         )

@@ -3,14 +3,14 @@
 //! [`to_toml`] and [`overlay`] are exact: what is written and read again is the same configuration, bit for bit. A gain is
 //! written as the number that reads back as itself, and as text where no floating-point number does.
 
-use crate::input;
-use crate::record::measurement::{ControlError, ControlSpec};
+use crate::measurement::{ControlError, ControlSpec};
 use fixed::types::{I16F48, I32F32};
 use std::fmt::{Display, Write as _};
 use std::path::Path;
 use std::str::FromStr;
 use thiserror::Error;
 use toml::{Table, Value};
+use twum_files::input;
 use twum_shared::encoder::CountSign;
 use twum_shared::message::Configuration;
 use twum_shared::safety::Limits;
@@ -104,6 +104,12 @@ fn tables(configuration: &Configuration) -> [(&'static str, Vec<(String, Value)>
         named("delay_ticks", i64::from(control.delay_ticks).into()),
         named("shortest_pulse_ticks", i64::from(control.shortest_pulse_ticks).into()),
         named("pulse_period_ticks", i64::from(control.pulse_period_ticks).into()),
+        named("learns", control.learns.into()),
+        named("guide_limit_counts", i64::from(control.guide.limit_counts).into()),
+        named("guide_stiffness_nnm", i64::from(control.guide.stiffness_nnm).into()),
+        named("guide_damping_nnm_s", i64::from(control.guide.damping_nnm_s).into()),
+        named("guide_dead_band_nnm", i64::from(control.guide.dead_band_nnm).into()),
+        named("guide_braking_nnm", i64::from(control.guide.braking_nnm).into()),
     ];
     let limits = Table::try_from(limits).expect("limits are a struct of integers");
     [("", bench), ("control", control), ("limits", limits.into_iter().collect())]
@@ -131,24 +137,27 @@ pub fn to_toml(configuration: &Configuration) -> String {
          # kd_tick a count/tick, feed_forward a count/s. A tick is period_us long. [control] may also be `control = \"thesis\"`,\n\
          # `\"default\"`, `\"gated\"` or `\"planned\"`. What is left out stays as the board has it.\n",
     );
-    for (table, rows) in tables(configuration) {
-        if !table.is_empty() {
-            let _ = writeln!(text, "\n[{table}]");
-        }
-        for (key, value) in rows {
-            let _ = writeln!(text, "{key} = {value}");
-        }
+    let [bench, control, limits] = tables(configuration);
+    write_rows(&mut text, &bench.1);
+    for (table, rows) in [control, limits] {
+        let _ = writeln!(text, "\n[{table}]");
+        write_rows(&mut text, &rows);
     }
     text
 }
 
 /// A controller as a file, which [`controller`] reads: its table `[control]`, every key.
 pub fn control_toml(control: &ConfigSpec) -> String {
-    let mut text = "[control]\n".to_owned();
-    for (key, value) in &tables(&Configuration::with_control(*control))[1].1 {
+    let [_, (table, rows), _] = tables(&Configuration::with_control(*control));
+    let mut text = format!("[{table}]\n");
+    write_rows(&mut text, &rows);
+    text
+}
+
+fn write_rows(text: &mut String, rows: &[(String, Value)]) {
+    for (key, value) in rows {
         let _ = writeln!(text, "{key} = {value}");
     }
-    text
 }
 
 /// `base` with what a text says.
@@ -259,10 +268,7 @@ fn overlay_control(control: &mut ConfigSpec, table: Table) -> Result<(), Configu
             "duty_steps" => control.duty_steps = integer(&name, &value)?,
             "law" => control.law = one_of(&name, &value, &LAWS)?,
             "dead_band_counts" => control.dead_band_counts = integer(&name, &value)?,
-            "conditional_integration" => {
-                control.conditional_integration =
-                    value.as_bool().ok_or_else(|| wrong(&name, &value, "true or false is expected"))?;
-            }
+            "conditional_integration" => control.conditional_integration = truth(&name, &value)?,
             "reversal_rest_ticks" => control.reversal_rest_ticks = integer(&name, &value)?,
             "reversal_limit_ticks" => control.reversal_limit_ticks = integer(&name, &value)?,
             "full_speed_counts_s" => control.full_speed_counts_s = integer(&name, &value)?,
@@ -270,6 +276,12 @@ fn overlay_control(control: &mut ConfigSpec, table: Table) -> Result<(), Configu
             "delay_ticks" => control.delay_ticks = integer(&name, &value)?,
             "shortest_pulse_ticks" => control.shortest_pulse_ticks = integer(&name, &value)?,
             "pulse_period_ticks" => control.pulse_period_ticks = integer(&name, &value)?,
+            "learns" => control.learns = truth(&name, &value)?,
+            "guide_limit_counts" => control.guide.limit_counts = integer(&name, &value)?,
+            "guide_stiffness_nnm" => control.guide.stiffness_nnm = integer(&name, &value)?,
+            "guide_damping_nnm_s" => control.guide.damping_nnm_s = integer(&name, &value)?,
+            "guide_dead_band_nnm" => control.guide.dead_band_nnm = integer(&name, &value)?,
+            "guide_braking_nnm" => control.guide.braking_nnm = integer(&name, &value)?,
             _ => return Err(ConfigurationError::Unknown(name)),
         }
     }
@@ -297,6 +309,10 @@ fn wrong(key: &str, value: &Value, reason: &str) -> ConfigurationError {
 fn integer<T: TryFrom<i64>>(key: &str, value: &Value) -> Result<T, ConfigurationError> {
     let whole = value.as_integer().ok_or_else(|| wrong(key, value, "a whole number is expected"))?;
     T::try_from(whole).map_err(|_| wrong(key, value, "out of range"))
+}
+
+fn truth(key: &str, value: &Value) -> Result<bool, ConfigurationError> {
+    value.as_bool().ok_or_else(|| wrong(key, value, "true or false is expected"))
 }
 
 fn one_of<T: Copy>(key: &str, value: &Value, words: &[(&'static str, T)]) -> Result<T, ConfigurationError> {
