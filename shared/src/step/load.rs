@@ -95,7 +95,7 @@ impl Load {
         let noise = (model.noise_ticks * model.noise_ticks) << 12;
         let gain = (known / ((known + noise) >> 8).max(1)).min(1 << 8);
         // A jump by more than a count is no motion of this rotor.
-        let push = error.max(-COUNT).min(COUNT) / ticks as i32;
+        let push = error.clamp(-COUNT, COUNT) / ticks as i32;
         let push = (push * gain as i32) >> 8;
         if !self.is_taught() {
             return push / TEACHES;
