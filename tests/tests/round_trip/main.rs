@@ -125,12 +125,7 @@ fn cases() -> Vec<Case> {
         ),
         // The model moves the edge at which a high slot begins: later means narrower.
         case("unequal-edges", "high_slot_excess", |v, _| -v[0]),
-        short(
-            ("name", "the search: a clock one per cent slow is named dropped-samples before a clock is weighed"),
-            "clock-error",
-            "relative_clock_error",
-            |v, _| v[0],
-        ),
+        case("clock-error", "relative_clock_error", |v, _| v[0]),
         case("dropped-samples", "", |v, _| v[0]),
     ]
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// Largest relative error that is looked for: beyond a twentieth a recorder is not wrong but another.
-const LARGEST: f64 = 0.05;
+pub const LARGEST: f64 = 0.05;
 /// Points on the width of a line, which is the inverse of a record's length.
 const POINTS_A_LINE: f64 = 6.0;
 /// Most points of a scan: 20 s at 400 Hz.

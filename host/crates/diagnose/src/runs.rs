@@ -1,15 +1,16 @@
 //! Runs of a TWUM, one or many, open or closed loop: lost time put back, the baseline refitted, sets weighed.
 
-use super::baseline::refit_baseline;
+use super::baseline::{baseline_free, first_noise, refit_baseline};
 use super::conclusion::{Outcome, Settings, conclude};
 use super::evidence::independent;
 use super::gaps::{self, Gaps};
 use super::ground::Ground;
 use super::held_out::Scorer;
 use super::library::{Effect, library, not_judged};
+use super::prior::Prior;
 use super::problem::{Model, Problem};
-use super::pwm_line::clock_errors;
-use super::refit::{Noise, objective};
+use super::pwm_line::{LARGEST as LARGEST_CLOCK_ERROR, clock_errors};
+use super::refit::{Free, Noise, objective, refit};
 use super::rotor::{P, Parameters};
 
 /// Diagnoses runs, starting from the motor file's rotor.
@@ -42,29 +43,34 @@ pub fn diagnose_runs(
     };
     let unrepaired = refit_baseline(&original, home, counted(&original));
     progress("looking for lost samples", 0.06);
-    let mut lost = lost_samples(problem, &problem.model(unrepaired.parameters.clone()), settings);
-    let compare = |lost: &Option<Gaps>| match lost {
-        Some(gaps) => {
+    let mut moved = shifted(problem, &problem.model(unrepaired.parameters.clone()), home, settings);
+    let compare = |moved: &Option<Shifted>| match moved {
+        Some(Shifted::Lost(gaps)) => {
             let repaired = gaps.problem.clone().widened();
             let baseline = refit_baseline(&repaired, home, counted(&repaired));
             (repaired, baseline)
         }
-        None => (original.clone(), unrepaired.clone()),
+        _ => (original.clone(), unrepaired.clone()),
     };
-    let (mut compared, baseline) = compare(&lost);
-    let mut sets = Ground::new(&compared, home.clone(), &effects, usable.clone()).search(baseline, progress);
-    if lost.is_none() && !sets[0].parts.is_empty() {
+    let searched = |compared: &Problem, baseline: Model, moved: &Option<Shifted>| {
+        let clock = if let Some(Shifted::Clock(model)) = moved { Some(model) } else { None };
+        Ground::new(compared, home.clone(), &effects, usable.clone()).search(baseline, clock, progress)
+    };
+    let (mut compared, baseline) = compare(&moved);
+    let mut sets = searched(&compared, baseline, &moved);
+    if moved.is_none() && !sets[0].parts.is_empty() {
         // Behind another effect's error they may not have shown.
-        lost = lost_samples(problem, &sets[0].model, settings);
-        if lost.is_some() {
-            let (repaired, baseline) = compare(&lost);
-            compared = repaired;
-            sets = Ground::new(&compared, home.clone(), &effects, usable.clone()).search(baseline, progress);
+        moved = shifted(problem, &sets[0].model, home, settings);
+        let known = sets[0].model.parameters.get(P::ClockError) != 0.0;
+        if moved.as_ref().is_some_and(|m| matches!(m, Shifted::Lost(_)) || !known) {
+            let baseline;
+            (compared, baseline) = compare(&moved);
+            sets = searched(&compared, baseline, &moved);
         }
     }
     progress("measuring what was found", 0.85);
     let mut outcome = conclude(&Ground::new(&compared, home.clone(), &effects, usable), &sets, settings);
-    if let Some(gaps) = lost {
+    if let Some(Shifted::Lost(gaps)) = moved {
         let before = Ground::new(&original, home.clone(), &effects, Vec::new());
         let root = before.root(unrepaired);
         let held = Scorer::new(&before, &root, settings.seed).held_out(&root);
@@ -75,24 +81,49 @@ pub fn diagnose_runs(
     outcome
 }
 
-/// Lost words of samples beside a model, unless a wrong clock does as well.
-fn lost_samples(problem: &Problem, model: &Model, settings: &Settings) -> Option<Gaps> {
+/// What moves the record against the drive.
+enum Shifted {
+    /// Words of samples are lost.
+    Lost(Gaps),
+    /// The clock is wrong, in a motor that is refitted beside it.
+    Clock(Model),
+}
+
+/// Lost words of samples beside a model, or a wrong clock that does as well.
+fn shifted(problem: &Problem, model: &Model, home: &Parameters, settings: &Settings) -> Option<Shifted> {
     if settings.without.iter().any(|w| w == "dropped-samples") {
         return None;
     }
-    gaps::find(problem, model, settings.seed).filter(|g| !clock_explains(problem, model, g))
+    let gaps = gaps::find(problem, model, settings.seed)?;
+    Some(clock_instead(problem, model, home, &gaps).map_or(Shifted::Lost(gaps), Shifted::Clock))
 }
 
-/// Whether a wrong clock does as well as lost samples: both move the PWM line.
-fn clock_explains(problem: &Problem, baseline: &Model, gaps: &Gaps) -> bool {
-    let noise = Noise { variance: 1.0, gain_spread: 0.0 };
-    let with_gaps = objective(&gaps.problem, baseline, noise);
-    // Near nothing, where the line may not part from its place, and about the lines.
-    let near = (-30..=30).filter(|k| *k != 0).map(|k| 4e-4 * f64::from(k));
-    let lines = clock_errors(problem).into_iter().flat_map(|e| (-5..=5).map(move |k| e + 2e-4 * f64::from(k)));
-    near.chain(lines).any(|error| {
+/// Steps in which a clock is fitted together with the motor: it begins within a line's width of where it ends.
+const CLOCK_STEPS: usize = 6;
+
+/// A wrong clock that does as well as lost samples: both move the PWM line. The motor is refitted beside either, because what it was fitted
+/// to had the error in it.
+fn clock_instead(problem: &Problem, baseline: &Model, home: &Parameters, gaps: &Gaps) -> Option<Model> {
+    let alike = Noise { variance: 1.0, gain_spread: 0.0 };
+    let rows: usize = problem.runs.iter().map(|r| r.windows.len()).sum();
+    let refitted = |of: &Problem, home: &Parameters| refit_baseline(of, home, rows as f64);
+    let with_gaps = objective(&gaps.problem, &refitted(&gaps.problem, home), alike);
+    let beside = |error: f64| {
+        let model = refitted(problem, &home.with(P::ClockError, error));
+        let mut free = baseline_free(&model.parameters, home, false);
+        let bounds = (-LARGEST_CLOCK_ERROR, LARGEST_CLOCK_ERROR);
+        free.push(Free { parameter: P::ClockError, scale: 1e-3, bounds, prior: Prior::Flat });
+        let noise = first_noise(problem, &model, rows as f64);
+        refit(problem, model, &free, &[], noise, CLOCK_STEPS)
+    };
+    // Near nothing the line may not part from its place.
+    let at = |error: f64| {
         let mut m = baseline.clone();
         m.parameters.set(P::ClockError, error);
-        objective(problem, &m, noise) < 1.05 * with_gaps
-    })
+        (objective(problem, &m, alike), error)
+    };
+    let near = (-30..=30).filter(|k| *k != 0).map(|k| at(4e-4 * f64::from(k)));
+    let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0)).map(|n| n.1);
+    let clocks = clock_errors(problem).into_iter().chain(nearest).map(beside);
+    clocks.into_iter().find(|m| objective(problem, m, alike) < 1.05 * with_gaps)
 }

@@ -29,11 +29,15 @@ const LOOKED_AT: usize = 3;
 const FAR_BEHIND: f64 = 20.0;
 
 impl Ground<'_> {
-    /// Searches from the refitted baseline; every set that was visited, best first.
-    pub fn search(&self, baseline: Model, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
+    /// Searches from the refitted baseline, and from a motor beside a wrong `clock` where one was read off the records; every set that was
+    /// visited, best first.
+    pub fn search(&self, baseline: Model, clock: Option<&Model>, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
         let mut pool = vec![self.root(baseline)];
         self.settle(&mut pool);
         self.missing_friction(&mut pool);
+        if let Some(set) = clock.and_then(|model| self.wrong_clock(model, &pool[0])) {
+            pool.push(set);
+        }
         for round in 0..MOST_EXPANDED {
             progress("weighing sets of effects", 0.1 + 0.7 * round as f64 / MOST_EXPANDED as f64);
             // Terms without physics give way to what explains them, so that they do not close the way to it.
@@ -88,6 +92,19 @@ impl Ground<'_> {
         let model = self.refitted(model, &parts, self.noise(&pool[0]), 8);
         let set = self.weigh_set(parts, model, Some(&pool[0]));
         pool.push(set);
+    }
+
+    /// The set of a clock error alone, from a motor that was refitted beside it, in the form that is meant for so large a one.
+    fn wrong_clock(&self, model: &Model, root: &Set) -> Option<Set> {
+        let error = model.parameters.get(P::ClockError).abs();
+        let of_error = |f: &Form| f.sizes.len() == 1 && f.sizes[0].parameter == P::ClockError;
+        let far = |f: &Form| (f.sizes[0].scale / error.max(1e-9)).ln().abs();
+        let forms =
+            self.usable.iter().flat_map(|e| self.effects[*e].forms.iter().enumerate().map(move |(k, f)| (*e, k, f)));
+        let (effect, form, spec) = forms.filter(|f| of_error(f.2)).min_by(|a, b| far(a.2).total_cmp(&far(b.2)))?;
+        let parts = vec![Part { effect, form, free: free_of(spec), phased: Vec::new() }];
+        let model = self.refitted(model.clone(), &parts, self.noise(root), 8);
+        Some(self.weigh_set(parts, model, Some(root)))
     }
 
     /// A better baseline, where a set without its effect leads to one: the refit had stopped in another valley.
