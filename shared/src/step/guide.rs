@@ -4,7 +4,7 @@
 //! J. Dyn. Sys. Meas. Control 107, 1985). Without a load that is worth believing it goes back to the path by itself.
 
 use super::ConfigSpec;
-use super::rotor::{COUNT, Model};
+use super::model::{COUNT, Model};
 use serde::{Deserialize, Serialize};
 
 /// How a target gives way: torques in nN·m, angles in counts.

@@ -5,7 +5,7 @@
 //! times over (docs/control.md). One number is estimated, by Kalman's filter over the edges: what an edge is off by, over how much a
 //! push of one would have moved it there.
 
-use super::rotor::{COUNT, Model};
+use super::model::{COUNT, Model};
 use serde::{Deserialize, Serialize};
 
 /// Edges from which the rotor is learnt before anything that it does is taken for a load: half a turn of the encoder that this is
