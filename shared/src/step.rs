@@ -8,6 +8,7 @@
 mod gated;
 mod guide;
 mod load;
+mod model;
 #[cfg(test)]
 mod motor;
 mod planned;
@@ -245,7 +246,7 @@ impl core::fmt::Display for GainName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     spec: ConfigSpec,
-    model: rotor::Model,
+    model: model::Model,
     admittance: guide::Admittance,
     /// A count/s in counts a tick, 2^-32.
     rate_of_one: u32,
@@ -296,8 +297,8 @@ impl TryFrom<ConfigSpec> for Config {
             return Err(ConfigError::Reversal);
         }
         let model = match spec.law {
-            DriveLaw::Gated => rotor::Model::of(&spec).ok_or(ConfigError::Rotor)?,
-            DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => rotor::Model::default(),
+            DriveLaw::Gated => model::Model::of(&spec).ok_or(ConfigError::Rotor)?,
+            DriveLaw::ActiveLowTruncated | DriveLaw::OnTimeRounded => model::Model::default(),
         };
         let admittance = match spec.law {
             DriveLaw::Gated => guide::Admittance::of(&spec, &model).ok_or(ConfigError::Guide)?,

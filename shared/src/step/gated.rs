@@ -6,8 +6,8 @@
 //! on with what it knows of the motor, and each edge, with its time, puts it right. Where pulses have a period, [`planned`]
 //! says when they end.
 
+use super::model::{COUNT, FARTHEST, FASTEST, FINE};
 use super::planned::{self, Foretold};
-use super::rotor::{COUNT, FARTHEST, FASTEST, FINE};
 use super::{Config, Inputs, Outputs, State};
 use crate::Direction;
 

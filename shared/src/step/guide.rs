@@ -4,7 +4,7 @@
 //! J. Dyn. Sys. Meas. Control 107, 1985). Without a load that is worth believing it goes back to the path by itself.
 
 use super::ConfigSpec;
-use super::rotor::{COUNT, Model};
+use super::model::{COUNT, Model};
 use serde::{Deserialize, Serialize};
 
 /// How a target gives way: torques in nN·m, angles in counts.
@@ -62,8 +62,9 @@ impl Admittance {
         if !is_inside {
             return None;
         }
-        let [stiffness, damping, torque] = torques.map(u64::from);
-        let (period_us, braking) = (u64::from(spec.period_us), u64::from(model.braking.unsigned_abs()));
+        // None is zero here; what divides is told so, or a panic would be kept for it.
+        let [stiffness, damping, torque] = torques.map(|torque| u64::from(torque).max(1));
+        let (period_us, braking) = (u64::from(spec.period_us), u64::from(model.braking.unsigned_abs()).max(1));
         // 30 + 14 bits, and 16 or 18 more: each product fits.
         let gives_way = ((((torque * period_us) << 16) / braking / damping) << 20) / 1_000_000;
         let goes_back = ((((stiffness * period_us) << 18) / damping) << 14) / 1_000_000;

@@ -5,21 +5,22 @@
 //! times over (docs/control.md). One number is estimated, by Kalman's filter over the edges: what an edge is off by, over how much a
 //! push of one would have moved it there.
 
-use super::rotor::{COUNT, Model};
+use super::model::{COUNT, Model};
 use serde::{Deserialize, Serialize};
 
-/// Edges from which the rotor is learnt before anything that it does is taken for a load: half a turn of the encoder that this is
-/// for, in which no hand may be on it.
+/// Edges from which the rotor is learnt before anything that it does is taken for a load: a turn of the encoder that this is for, so
+/// that its runout is in it; no hand may be on the rotor then. The first half of them is as without a hand, the second tells speed and
+/// braking apart as the load will be told.
 const TAUGHT: u16 = 400;
 /// A variance is in 2^-12 of the square of the braking: this is a load that may be as large as what the rotor bears.
 const ANY: u16 = 1 << 12;
-/// What a tick adds to it: a hand that changes its mind within a quarter of a second (512 ticks) by half of what the rotor bears.
+/// What a tick adds to it: a hand that changes its mind within a sixth of a second (341 ticks) by half of what the rotor bears.
 const WANDERS: u16 = 3;
 /// Up to here the estimate is worth something: its deviation is half of what the rotor bears.
 const WORTH: u16 = 1 << 10;
-/// What an edge tells goes to the braking by a sixteenth while the rotor is learnt: 16 edges, a dozen such constants in all.
+/// What an edge tells goes to the braking by so little while the rotor is learnt: eight such constants in the half turn there is.
 const TEACHES: i32 = 24;
-/// And by so little afterwards, when it goes to the load: what both directions have in common is the rotor's own.
+/// And by so little of what goes to the load afterwards: slow against a hand, as what both directions have in common is the rotor's own.
 const UNLEARNS: i32 = 32;
 /// Longest motion that is reckoned with, ticks and ticks², so that products stay within 32 bits.
 const LONGEST: u16 = 255;
