@@ -16,7 +16,11 @@ fn answer(records: Vec<Record>) -> Diagnosis {
 fn answer_with(records: Vec<Record>) -> (Diagnosis, Option<Details>) {
     let run = |(i, r): (usize, Record)| {
         let response = r.angle_rad.map_or(DriveResponse::SpeedRpm(r.rpm), DriveResponse::PositionRad);
-        Run::new(format!("r{i}"), RunKind::Speed, RunData::Drive { time_us: r.time_us, input: r.input, response })
+        Run::new(
+            format!("r{i}"),
+            RunKind::Speed,
+            RunData::Drive { time_us: r.time_us, input: r.input, response, beside: Default::default() },
+        )
     };
     let runs = records.into_iter().enumerate().map(run).collect();
     let folder =

@@ -167,7 +167,7 @@ impl Data {
 }
 
 fn read(run: &Run) -> Option<Result<DriveRun, String>> {
-    let RunData::Drive { time_us, input, response } = &run.data else { return None };
+    let RunData::Drive { time_us, input, response, .. } = &run.data else { return None };
     if input.len() < LEAST_SAMPLES {
         return Some(Err(format!("run {}: {} samples, too few; left out", run.id, input.len())));
     }
