@@ -59,6 +59,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], repetitions: usize, seed: u64)
     let scorer = Scorer::new(ground);
     let standing = Standing::of(&scorer, visited, root, seed);
     let accepted = standing.judged.accepted(&standing.sets, Set::key, |e| EFFECTS[e].own).unwrap_or(root);
+    let accepted = &ground.settled(accepted);
     let held = scorer.held_out(root).against(&scorer.held_out(accepted));
     let chance = Chance::new(ground, root, visited, repetitions, seed);
     let view = View { ground, scorer: &scorer, visited, root, standing: &standing, chance: &chance, repetitions, seed };
@@ -221,7 +222,9 @@ impl View<'_> {
         let held = self.scorer.held_out(&less).against(&self.scorer.held_out(accepted));
         let ambiguous = self.standing.judged.set_of(part.effect).is_some();
         let effect = &EFFECTS[part.effect];
-        let parameters = estimates(self.ground, accepted, effect.forms[part.form].numbers);
+        let numbers = effect.forms[part.form].numbers;
+        let finer = self.ground.finer(&[part], &accepted.plant.values);
+        let parameters = estimates(self.ground, accepted, &[numbers, &finer].concat());
         let p_null = match less.parts.is_empty() {
             true => self.chance.p(part.effect, Some(&held)),
             false => {
@@ -230,7 +233,7 @@ impl View<'_> {
             }
         };
         // A size that could be none is no cause yet.
-        let could_be_none = parameters.iter().all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
+        let could_be_none = parameters.iter().take(numbers.len()).all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
         Finding {
             name: effect.name.to_owned(),
             status: match (ambiguous || could_be_none || held.gain_interval(self.seed)[0] <= 0.0, effect.own) {
