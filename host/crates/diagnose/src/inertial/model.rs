@@ -5,7 +5,9 @@ use super::conclude::InertialOutcome;
 use super::data::{Data, DriveRun};
 use super::effects::reported;
 use super::fit::{Noise, Plant, refit};
+use super::held_out::squared_error;
 use super::plant::{simulate, simulate_all};
+use super::ripple::followed;
 use super::values::{P, Values};
 use crate::answer::Diagnosis;
 use serde::{Deserialize, Serialize};
@@ -281,10 +283,18 @@ impl Model {
             Ripple { order: o.order, phases }
         };
         let ripples: Vec<Ripple> = self.orders.iter().map(ripple).collect();
-        let data = data.with_ripples(ripples, self.lag_s(), None);
+        data = data.with_ripples(ripples, self.lag_s(), None);
         let starts = data.runs.iter().map(|r| r.rpm[0]).collect();
         let raw = Noise { variance: 1.0, gain_spread: 0.0 };
-        let plant = refit(&data, Plant { values: self.values(), starts }, &[], raw, &[], STEPS);
+        let started = |data: &Data, plant| refit(data, plant, &[], raw, &[], STEPS);
+        let mut plant = started(&data, Plant { values: self.values(), starts });
+        if !data.ripples.is_empty() {
+            let told = followed(&data, &plant, started);
+            let again = started(&told, plant.clone());
+            if squared_error(&told, &again) < squared_error(&data, &plant) {
+                (data, plant) = (told, again);
+            }
+        }
         let motions = simulate_all(&data, &plant.values, &plant.starts);
         let one = |(run, m): (&DriveRun, super::plant::Motion)| {
             let n = run.rpm.len() as f64;

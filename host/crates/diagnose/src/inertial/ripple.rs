@@ -26,6 +26,8 @@ const AGREE_RAD: f64 = 0.3;
 /// Nats that an order must take beyond its costs before it is offered at all, as [`super::super::verdict`] names by.
 const LEAST_NATS: f64 = 10.0;
 
+/// Times that an angle is told anew: each leaves a tenth of what it was off.
+const FOLLOWED: usize = 8;
 /// Knots of a drift over a run.
 const KNOTS: usize = 16;
 /// Radians by which an angle is moved at once: beyond, a wave is no straight line.
@@ -116,9 +118,19 @@ pub fn aligned(data: &Data, plant: &Plant, independent: f64) -> Option<Data> {
     (!ripples.is_empty()).then(|| data.with_ripples(ripples, plant.values.lag_s(), None))
 }
 
-/// The data with the angle told anew by what a plant with a torque over it makes of the runs: between the samples by the plant's speeds; and
-/// where it is the sum of measured speeds, whose noise drifts away from the motor, by where in the order the torque is seen to be.
-pub fn followed(data: &Data, plant: &Plant) -> Data {
+/// The data with the angle told anew by a plant with a torque over it, which `refit` fits to what is then told.
+pub fn followed(data: &Data, plant: &Plant, refit: impl Fn(&Data, Plant) -> Plant) -> Data {
+    let (mut data, mut plant) = (data.clone(), plant.clone());
+    for _ in 0..FOLLOWED {
+        data = told(&data, &plant);
+        plant = refit(&data, plant);
+    }
+    data
+}
+
+/// The angle by what a plant makes of the runs: between the samples by the plant's speeds; and where it is the sum of measured speeds, whose
+/// noise drifts away from the motor, by where in the order the torque is seen to be.
+fn told(data: &Data, plant: &Plant) -> Data {
     let lag_s = plant.values.lag_s();
     let motions = simulate_all(data, &plant.values, &plant.starts);
     let (mut runs, mut speeds) = (data.runs.clone(), Vec::new());

@@ -20,8 +20,6 @@ pub const GAIN_SPREAD: f64 = 0.02;
 /// Steps of a look, and of a refit that counts.
 pub const LOOK: usize = 4;
 pub const STEPS: usize = 40;
-/// Times that an angle is told anew: each leaves a tenth of what it was off.
-const FOLLOWED: usize = 8;
 /// Times that other valleys are looked for.
 const SCANS: usize = 3;
 /// Size, in deviations of what is believed, below which an effect is none.
@@ -314,12 +312,7 @@ impl<'a> Ground<'a> {
     /// The data with the angle told anew by a set with a torque over it.
     pub fn followed(&self, set: &Set) -> Data {
         let (free, noise) = (self.free(&set.parts), self.noise_of_samples(&set.plant));
-        let (mut data, mut plant) = (self.data.clone(), set.plant.clone());
-        for _ in 0..FOLLOWED {
-            data = followed(&data, &plant);
-            plant = refit(&data, plant, &free, noise, &[], LOOK);
-        }
-        data
+        followed(self.data, &set.plant, |data, plant| refit(data, plant, &free, noise, &[], LOOK))
     }
 
     /// Whether a form can act beside a set: its numbers are about something that is there.

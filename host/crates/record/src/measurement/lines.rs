@@ -127,7 +127,7 @@ impl Lines {
         let expected = format!("`{}`", accepted.join("` or `"));
         let found = self.names(&expected)?;
         let is = |header: &&str| header.split(',').eq(found.iter().map(String::as_str));
-        accepted.iter().position(|header| is(header)).ok_or_else(|| self.unexpected(&expected))
+        accepted.iter().position(is).ok_or_else(|| self.unexpected(&expected))
     }
 
     /// Reads the names of a header; `expected` says in a message what they should be.
