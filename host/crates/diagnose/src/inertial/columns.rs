@@ -3,9 +3,12 @@
 use std::collections::BTreeMap;
 use twum_record::measurement::Beside;
 
+/// What was recorded beside a run, a value a sample each.
+pub type Recorded = BTreeMap<Beside, Vec<f64>>;
+
 /// The columns of every run.
 pub struct Columns<'a> {
-    runs: &'a [&'a BTreeMap<Beside, Vec<f64>>],
+    runs: &'a [&'a Recorded],
     /// The largest load, in the record's unit; none where it is not there in every run, or always the same.
     pub largest_load: Option<f64>,
     /// The mean temperature in °C and by how many kelvins it changes; none where it is not there in every run.
@@ -16,7 +19,7 @@ pub struct Columns<'a> {
 
 impl<'a> Columns<'a> {
     /// Of runs; what is not used is said.
-    pub fn of(runs: &'a [&'a BTreeMap<Beside, Vec<f64>>]) -> (Self, Vec<String>) {
+    pub fn of(runs: &'a [&'a Recorded]) -> (Self, Vec<String>) {
         let (mut columns, mut notes) =
             (Self { runs, largest_load: None, temperature: None, controlled: false }, Vec::new());
         for column in Beside::ALL {

@@ -5,7 +5,7 @@ use super::super::stats::HeldOut;
 use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, TEMPERATURE, Visited, judge};
 use super::compensation::Fitted;
 use super::data::Data;
-use super::effects::{Coordinate, EFFECTS, twin};
+use super::effects::{Coordinate, EFFECTS, reported, twin};
 use super::fit::Plant;
 use super::held_out::{Chance, Scorer, squared_error};
 use super::numbers::{estimates, own_numbers};
@@ -224,7 +224,10 @@ impl View<'_> {
         let effect = &EFFECTS[part.effect];
         let numbers = effect.forms[part.form].numbers;
         let finer = self.ground.finer(&[part], &accepted.plant.values);
-        let parameters = estimates(self.ground, accepted, &[numbers, &finer].concat());
+        let mut parameters = estimates(self.ground, accepted, &[numbers, &finer].concat());
+        // What refines a form is told where it is there for certain.
+        let finer: Vec<&str> = finer.into_iter().map(|n| reported(n).0).collect();
+        parameters.retain(|e| !finer.contains(&e.name.as_str()) || e.interval[0] > 0.0);
         let p_null = match less.parts.is_empty() {
             true => self.chance.p(part.effect, Some(&held)),
             false => {
@@ -233,7 +236,7 @@ impl View<'_> {
             }
         };
         // A size that could be none is no cause yet.
-        let could_be_none = parameters.iter().take(numbers.len()).all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
+        let could_be_none = parameters.iter().all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
         Finding {
             name: effect.name.to_owned(),
             status: match (ambiguous || could_be_none || held.gain_interval(self.seed)[0] <= 0.0, effect.own) {

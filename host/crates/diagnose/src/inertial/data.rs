@@ -1,9 +1,8 @@
 //! The runs of an ordinary motor as they are compared: inputs relative to the largest, speeds of samples or of windows.
 
 use super::angle::{Course, KEPT, Ripple};
-use super::columns::Columns;
-use std::collections::BTreeMap;
-use twum_record::measurement::{Beside, DriveResponse, Run, RunData};
+use super::columns::{Columns, Recorded};
+use twum_record::measurement::{DriveResponse, Run, RunData};
 
 /// Fewest samples of which a run is made use of.
 const LEAST_SAMPLES: usize = 40;
@@ -202,7 +201,7 @@ impl Data {
     }
 }
 
-fn read(run: &Run) -> Option<Result<(DriveRun, &BTreeMap<Beside, Vec<f64>>), String>> {
+fn read(run: &Run) -> Option<Result<(DriveRun, &Recorded), String>> {
     let RunData::Drive { time_us, input, response, beside } = &run.data else { return None };
     if input.len() < LEAST_SAMPLES {
         return Some(Err(format!("run {}: {} samples, too few; left out", run.id, input.len())));

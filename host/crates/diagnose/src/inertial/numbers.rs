@@ -64,7 +64,8 @@ fn ripple(ground: &Ground, set: &Set, [cos, sin]: [P; 2], at: usize, uncertain: 
 struct OwnOfRun {
     start: DVector<f64>,
     predicted: DVector<f64>,
-    gamma: f64,
+    /// What is taken along the prediction, for a length of one.
+    taken: f64,
 }
 
 impl OwnOfRun {
@@ -74,14 +75,16 @@ impl OwnOfRun {
         let predicted = DVector::from_column_slice(predicted);
         let predicted = &predicted - &start * start.dot(&predicted);
         let t = noise.gain_spread * noise.gain_spread;
-        let gamma = t / (noise.variance + t * predicted.norm_squared());
-        Self { start, predicted, gamma }
+        // The root of the inverse covariance of errors that have the gain's in them: squared, it is what the fit weighs by.
+        let squares = predicted.norm_squared();
+        let kept = noise.variance / (noise.variance + t * squares);
+        Self { start, predicted, taken: (1.0 - kept.sqrt()) / squares.max(1e-300) }
     }
 
     fn without(&self, column: &[f64]) -> DVector<f64> {
         let column = DVector::from_column_slice(column);
         let column = &column - &self.start * self.start.dot(&column);
-        &column - &self.predicted * (self.gamma * self.predicted.dot(&column))
+        &column - &self.predicted * (self.taken * self.predicted.dot(&column))
     }
 }
 
