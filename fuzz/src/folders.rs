@@ -84,10 +84,11 @@ fn sound(data: &RunData) {
                 assert!(finite(&[row.time_us, row.target, row.position, row.u]) && (0.0..=1.0).contains(&row.duty));
             }
         }
-        RunData::Drive { time_us, input, response } => {
+        RunData::Drive { time_us, input, response, beside } => {
             let (DriveResponse::PositionRad(values) | DriveResponse::SpeedRpm(values)) = response;
             assert!(time_us.len() == input.len() && time_us.len() == values.len());
             assert!(increasing(time_us) && finite(time_us) && finite(input) && finite(values));
+            assert!(beside.values().all(|column| column.len() == time_us.len() && finite(column)));
         }
     }
 }

@@ -16,7 +16,11 @@ fn answer(records: Vec<Record>) -> Diagnosis {
 fn answer_with(records: Vec<Record>) -> (Diagnosis, Option<Details>) {
     let run = |(i, r): (usize, Record)| {
         let response = r.angle_rad.map_or(DriveResponse::SpeedRpm(r.rpm), DriveResponse::PositionRad);
-        Run::new(format!("r{i}"), RunKind::Speed, RunData::Drive { time_us: r.time_us, input: r.input, response })
+        Run::new(
+            format!("r{i}"),
+            RunKind::Speed,
+            RunData::Drive { time_us: r.time_us, input: r.input, response, beside: Default::default() },
+        )
     };
     let runs = records.into_iter().enumerate().map(run).collect();
     let folder =
@@ -260,7 +264,7 @@ fn measured_runs_alone_are_not_nothing() {
 }
 
 /// Seeds from which nothing in the diagnosis was chosen.
-const UNSEEN: u64 = 20_001;
+const UNSEEN: u64 = 30_001;
 
 /// A share with its 95 % Wilson interval, in per cent.
 fn share(hits: usize, of: usize) -> String {

@@ -105,15 +105,20 @@ fn run_panels(run: &Run, edges_per_rev: u32) -> Vec<Panel> {
         RunData::Velocity { time_us, rpm } => {
             vec![Panel::new("time (s)", "speed (rpm)").line("speed", &series(time_us, rpm))]
         }
-        RunData::Drive { time_us, input, response } => {
+        RunData::Drive { time_us, input, response, beside } => {
             let (label, name, values) = match response {
                 DriveResponse::PositionRad(values) => ("position (rad)", "position", values),
                 DriveResponse::SpeedRpm(values) => ("speed (rpm)", "speed", values),
             };
-            vec![
+            let mut panels = vec![
                 Panel::new("time (s)", label).line(name, &series(time_us, values)),
                 Panel::new("time (s)", "input").line("input", &series(time_us, input)),
-            ]
+            ];
+            let more = |(column, values): (&measurement::Beside, &Vec<f64>)| {
+                Panel::new("time (s)", column.name()).line(column.name(), &series(time_us, values))
+            };
+            panels.extend(beside.iter().map(more));
+            panels
         }
         RunData::Control(rows) => {
             let time_us: Vec<f64> = rows.iter().map(|row| row.time_us).collect();
@@ -181,7 +186,12 @@ mod tests {
             Run::new(
                 "d",
                 RunKind::Speed,
-                RunData::Drive { time_us, input: vec![1.0; 4], response: DriveResponse::PositionRad(vec![0.5; 4]) },
+                RunData::Drive {
+                    time_us,
+                    input: vec![1.0; 4],
+                    response: DriveResponse::PositionRad(vec![0.5; 4]),
+                    beside: [(measurement::Beside::Load, vec![0.1; 4])].into(),
+                },
             ),
             Run::new("e", RunKind::Speed, RunData::Edges { initial: false, start_us: 0.0, edges, end_us: 130_000.0 }),
         ];
@@ -195,6 +205,7 @@ mod tests {
         for run in [None, Some("v"), Some("d"), Some("e")] {
             let svg = measurement_figure(&measurement, run).unwrap().svg().unwrap();
             assert!(svg.contains("speed (rpm)") || svg.contains("position (rad)"));
+            assert_eq!(svg.contains("load"), run == Some("d"), "{run:?}");
         }
         let error = measurement_figure(&measurement, Some("z")).unwrap_err().to_string();
         assert_eq!(error, "no run `z`; the runs are: v, d, e");

@@ -13,7 +13,7 @@
 //! let input: Vec<f64> = (0..600).map(|i| (f64::from(i) * 0.021).sin()).collect();
 //! let rpm = input.iter().map(|u: &f64| 100.0 * u.signum() * (u.abs() - 0.1).max(0.0)).collect();
 //! let time_us = (0..600).map(|i| 5e3 * f64::from(i)).collect();
-//! let data = RunData::Drive { time_us, input, response: DriveResponse::SpeedRpm(rpm) };
+//! let data = RunData::Drive { time_us, input, response: DriveResponse::SpeedRpm(rpm), beside: Default::default() };
 //! let runs = ["a", "b", "c"].map(|id| Run::new(id, RunKind::Speed, data.clone())).to_vec();
 //! let bench = Measurement { name: "bench".into(), motor: String::new(), edges_per_rev: 0, runs, folder: "bench".into() };
 //! let (answer, _) = diagnose(&[bench], &Options { quick: true, ..Options::default() }, &|_, _| ())?;

@@ -386,7 +386,7 @@ mod tests {
     #[test]
     fn a_position_sensor_is_not_an_encoder_line() {
         let response = DriveResponse::PositionRad(vec![0.0]);
-        let data = RunData::Drive { time_us: vec![0.0], input: vec![0.0], response };
+        let data = RunData::Drive { time_us: vec![0.0], input: vec![0.0], response, beside: Default::default() };
         assert_eq!(motion(&run(data), &options(Method::Smoother)), Err(SignalError::NoEncoder));
     }
 }

@@ -27,29 +27,97 @@ impl Ripple {
     }
 }
 
-/// The mean of e^(i·2π·order·turns) over every interval between two samples; the last interval stands for the one after the end.
-pub fn waves(turns: &[f64], order: usize) -> Vec<Complex<f64>> {
-    let mut out: Vec<Complex<f64>> = turns
-        .windows(2)
-        .map(|w| {
-            let (middle, half) = (TAU * order as f64 * 0.5 * (w[0] + w[1]), TAU * order as f64 * 0.5 * (w[1] - w[0]));
-            let mean = if half.abs() < 1e-6 { 1.0 } else { half.sin() / half };
-            Complex::from_polar(1.0, middle) * mean
-        })
-        .collect();
-    out.push(*out.last().unwrap_or(&Complex::ZERO));
-    out
+/// Parts of an interval in which an angle whose speeds are known is a straight line: a sixteenth of the bend is left.
+const PARTS: usize = 4;
+
+/// Where a rotor went.
+#[derive(Clone, Copy)]
+pub struct Course<'a> {
+    /// Times of the samples in s.
+    pub time_s: &'a [f64],
+    /// Angle at each in turns.
+    pub turns: &'a [f64],
+    /// Speed at each in rpm, where it is known better than the angles tell it: an interval is a straight line without.
+    pub rpm: Option<&'a [f64]>,
+    /// The lag through which the rotor feels a torque, in s.
+    pub lag_s: f64,
 }
 
-/// The course of every ripple over the intervals of the run `at`, cosine and sine about its phase.
-pub fn courses(turns: &[f64], at: usize, ripples: &[Ripple]) -> Vec<[f64; 2 * KEPT]> {
-    let mut out = vec![[0.0; 2 * KEPT]; turns.len()];
-    for (j, ripple) in ripples.iter().enumerate() {
-        let turned = Complex::from_polar(1.0, -ripple.phases[at]);
-        for (to, w) in out.iter_mut().zip(waves(turns, ripple.order)) {
-            let w = w * turned;
-            (to[2 * j], to[2 * j + 1]) = (w.re, w.im);
+impl Course<'_> {
+    /// What e^(i·2π·order·turns) does over every interval between two samples to a speed that follows it with the lag, as the constant that
+    /// does the same; the last interval stands for the one after the end.
+    pub fn waves(&self, order: usize) -> Vec<Complex<f64>> {
+        let parts = if self.rpm.is_some() { PARTS } else { 1 };
+        let (mut step, mut decay) = (f64::NAN, 0.0);
+        let mut out: Vec<Complex<f64>> = (1..self.time_s.len())
+            .map(|k| {
+                let h = self.time_s[k] - self.time_s[k - 1];
+                if h != step {
+                    (step, decay) = (h, (-h / (parts as f64 * self.lag_s)).exp());
+                }
+                let gained = self.rpm.map_or(0.0, |rpm| (rpm[k] - rpm[k - 1]) / 60.0);
+                let angle = |part: usize| {
+                    let x = part as f64 / parts as f64;
+                    let turns =
+                        self.turns[k - 1] + x * (self.turns[k] - self.turns[k - 1]) - 0.5 * h * gained * x * (1.0 - x);
+                    TAU * order as f64 * turns
+                };
+                let (mut sum, mut before) = (Complex::ZERO, angle(0));
+                for part in 1..=parts {
+                    let after = angle(part);
+                    // ∫ e^(−(h − s)/τ)·e^(iφ(s)) ds over τ, φ from `before` to `after`.
+                    let whole = Complex::from_polar(1.0, after) - Complex::from_polar(decay, before);
+                    sum = sum * decay + whole / Complex::new(1.0, (after - before) * self.lag_s * parts as f64 / h);
+                    before = after;
+                }
+                sum / (1.0 - decay.powi(parts as i32))
+            })
+            .collect();
+        out.push(*out.last().unwrap_or(&Complex::ZERO));
+        out
+    }
+
+    /// The course of every ripple over the intervals of the run `at`, cosine and sine about its phase.
+    pub fn ripple(&self, at: usize, ripples: &[Ripple]) -> Vec<[f64; 2 * KEPT]> {
+        let mut out = vec![[0.0; 2 * KEPT]; self.turns.len()];
+        for (j, ripple) in ripples.iter().enumerate() {
+            let turned = Complex::from_polar(1.0, -ripple.phases[at]);
+            for (to, w) in out.iter_mut().zip(self.waves(ripple.order)) {
+                let w = w * turned;
+                (to[2 * j], to[2 * j + 1]) = (w.re, w.im);
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if what a torque over the angle leaves of a speed is not what small steps leave of it: turning slowly, fast, back, at rest, and
+    /// faster and faster.
+    #[test]
+    fn a_wave_does_what_small_steps_of_it_do() {
+        let (lag_s, order) = (0.05, 3);
+        let (time_s, turns) = ([0.0, 0.02, 0.03, 0.09, 0.1], [0.1, 0.15, 0.35, 0.05, 0.05]);
+        let speeds = [60.0, 240.0, 60.0, -600.0, 300.0];
+        for rpm in [None, Some(&speeds[..])] {
+            let course = Course { time_s: &time_s, turns: &turns, rpm, lag_s };
+            for (k, wave) in course.waves(order).iter().take(4).enumerate() {
+                let (steps, h) = (20_000, time_s[k + 1] - time_s[k]);
+                let mut speed = Complex::ZERO;
+                for i in 0..steps {
+                    let x = (i as f64 + 0.5) / steps as f64;
+                    let bend = rpm.map_or(0.0, |v| 0.5 * h * (v[k + 1] - v[k]) / 60.0 * x * (1.0 - x));
+                    let at = turns[k] + x * (turns[k + 1] - turns[k]) - bend;
+                    speed += (Complex::from_polar(1.0, TAU * order as f64 * at) - speed) * (h / steps as f64 / lag_s);
+                }
+                let exact = wave * (1.0 - (-h / lag_s).exp());
+                // Where an interval bends, its parts are straight.
+                let most = if rpm.is_some() { 0.02 } else { 1e-4 };
+                assert!((exact - speed).norm() < most, "interval {k}: {exact} and {speed}");
+            }
         }
     }
-    out
 }

@@ -4,8 +4,8 @@ use super::conclude::InertialOutcome;
 use super::data::Data;
 use super::fit::{Noise, Plant, misfit, refit};
 use super::held_out::squared_error;
-use super::plant::P;
 use super::sets::{GAIN_SPREAD, Ground, Set};
+use super::values::P;
 use crate::finding::{Finding, Status};
 use crate::stats::HeldOut;
 

@@ -1,9 +1,11 @@
 //! The feed-forward that cancels what was found: the input that a wanted motion takes.
 
-use super::angle::{Ripple, courses};
+use super::angle::{Course, Ripple};
+use super::aside::Aside;
 use super::data::DriveRun;
 use super::effects::{over_angle, reported};
-use super::plant::{Angle, P, Values, simulate};
+use super::plant::simulate;
+use super::values::{P, Values};
 use std::f64::consts::TAU;
 
 /// Speeds of the table to either side.
@@ -78,12 +80,12 @@ fn reach(plant: &Values) -> f64 {
     0.999_999 * side(1.0).min(side(-1.0)).max(0.0)
 }
 
-/// The input that a speed and its change (rpm/s) take at a place of the angle.
-fn input(plant: &Values, speed: f64, change: f64, angle: Angle) -> Option<f64> {
+/// The input that a speed and its change (rpm/s) take beside what else acts.
+fn input(plant: &Values, speed: f64, change: f64, aside: Aside) -> Option<f64> {
     let gain = plant.get(P::Gain);
     let side = if speed == 0.0 { 0.0 } else { speed.signum() * gain.signum() };
-    let held = plant.get(P::Bias) + side * plant.friction(side) - angle.torque;
-    plant.input_for(((speed + plant.lag_s() * change) / gain + held) / (1.0 + angle.share))
+    let held = plant.get(P::Bias) + side * plant.friction(side) - aside.torque;
+    plant.input_for(((speed + plant.lag_s() * change) / gain + held) / (1.0 + aside.share))
 }
 
 /// What cogging takes of the input over a turn.
@@ -95,12 +97,13 @@ fn cogging(plant: &Values, ripples: &[Ripple], largest: f64) -> Vec<[f64; 2]> {
     let rows = STEPS_A_PERIOD * ripples.iter().map(|r| r.order).max().unwrap_or(1);
     let turns: Vec<f64> = (0..=rows).map(|k| k as f64 / rows as f64).collect();
     // Of places, not of the ways between them.
-    let torque = |t: f64| Angle::of(&steady, &courses(&[t, t], 0, ripples)[0]).torque;
+    let place = |t: f64| Course { time_s: &[0.0, 1.0], turns: &[t, t], rpm: None, lag_s: 1.0 }.ripple(0, ripples)[0];
+    let torque = |t: f64| Aside::of_angle(&steady, &place(t)).torque;
     turns.into_iter().map(|t| [360.0 * t, -largest * torque(t)]).collect()
 }
 
 fn steady(plant: &Values, speed: f64) -> Option<f64> {
-    if speed == 0.0 { Some(0.0) } else { input(plant, speed, 0.0, Angle::default()) }
+    if speed == 0.0 { Some(0.0) } else { input(plant, speed, 0.0, Aside::default()) }
 }
 
 /// Error in rpm of a sine of this height where the plant is driven by the feed-forward of another.
@@ -111,21 +114,30 @@ fn error(plant: &Values, by: &Values, ripples: &[Ripple], height: f64) -> f64 {
     let wanted = |t: f64| (height * (pulsation * t).sin(), height * pulsation * (pulsation * t).cos());
     // The angle that is wanted is nearly that which is reached.
     let turns: Vec<f64> = time.iter().map(|t| height * (1.0 - (pulsation * t).cos()) / pulsation / 60.0).collect();
-    let ripple = courses(&turns, 0, ripples);
+    let ripple = Course { time_s: &time, turns: &turns, rpm: None, lag_s: plant.lag_s() }.ripple(0, ripples);
     let input: Vec<f64> = time
         .iter()
         .zip(&ripple)
         .map(|(t, wave)| {
             let (speed, change) = wanted(t + 0.5 * step);
             // What is out of reach is driven with all there is.
-            input(by, speed, change, Angle::of(by, wave))
+            input(by, speed, change, Aside::of_angle(by, wave))
                 .unwrap_or(speed.signum() * by.get(P::Gain).signum())
                 .clamp(-1.0, 1.0)
         })
         .collect();
     let n = time.len();
-    let run =
-        DriveRun { id: String::new(), period_s: step, rpm: vec![0.0; n], windows: None, turns, time, input, ripple };
+    let run = DriveRun {
+        id: String::new(),
+        period_s: step,
+        rpm: vec![0.0; n],
+        windows: None,
+        turns,
+        time,
+        input,
+        ripple,
+        beside: Vec::new(),
+    };
     // Delays of the record are the logger's, or cannot be cancelled but by asking earlier.
     let tried = plant.with(P::Skew, 0.0).with(P::DeadTime, 0.0).with(P::SecondLag, 0.0);
     let motion = simulate(&run, &tried, 0.0, false);
@@ -174,15 +186,25 @@ fn formula(plant: &Values, ripples: &[Ripple], largest: f64) -> String {
             None => format!("{zone} + {u}"),
         };
     }
-    let delays: Vec<String> = [P::DeadTime, P::SecondLag]
+    let corner = match has(P::Corner) {
+        true => format!(
+            "; the threshold's corner, rounded over {:.5} to either side, is in the table only",
+            plant.get(P::Corner)
+        ),
+        false => String::new(),
+    };
+    let open: Vec<String> = [P::DeadTime, P::SecondLag, P::Load, P::Heating]
         .into_iter()
         .filter(|p| has(*p))
-        .map(|p| format!("; {} of {:.5} s is not cancelled", reported(p).0.trim_end_matches("_s"), plant.get(p)))
+        .map(|p| match reported(p) {
+            (name, "s") => format!("; {} of {:.5} s is not cancelled", name.trim_end_matches("_s"), plant.get(p)),
+            (name, _) => format!("; {name} of {:.5} is not cancelled", plant.get(p)),
+        })
         .collect();
     format!(
-        "input = {largest}·sign(x)·u; u = {u}; x = {x}; ω in rpm, ω' in rpm/s; at most {:.3} of the largest input; 0 at rest{}",
+        "input = {largest}·sign(x)·u; u = {u}; x = {x}; ω in rpm, ω' in rpm/s; at most {:.3} of the largest input; 0 at rest{corner}{}",
         1.0 - plant.get(P::FlatTop),
-        delays.concat()
+        open.concat()
     )
 }
 

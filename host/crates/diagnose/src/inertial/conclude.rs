@@ -5,7 +5,7 @@ use super::super::stats::HeldOut;
 use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, TEMPERATURE, Visited, judge};
 use super::compensation::Fitted;
 use super::data::Data;
-use super::effects::{Coordinate, EFFECTS, twin};
+use super::effects::{Coordinate, EFFECTS, reported, twin};
 use super::fit::Plant;
 use super::held_out::{Chance, Scorer, squared_error};
 use super::numbers::{estimates, own_numbers};
@@ -59,6 +59,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], repetitions: usize, seed: u64)
     let scorer = Scorer::new(ground);
     let standing = Standing::of(&scorer, visited, root, seed);
     let accepted = standing.judged.accepted(&standing.sets, Set::key, |e| EFFECTS[e].own).unwrap_or(root);
+    let accepted = &ground.settled(accepted);
     let held = scorer.held_out(root).against(&scorer.held_out(accepted));
     let chance = Chance::new(ground, root, visited, repetitions, seed);
     let view = View { ground, scorer: &scorer, visited, root, standing: &standing, chance: &chance, repetitions, seed };
@@ -221,7 +222,12 @@ impl View<'_> {
         let held = self.scorer.held_out(&less).against(&self.scorer.held_out(accepted));
         let ambiguous = self.standing.judged.set_of(part.effect).is_some();
         let effect = &EFFECTS[part.effect];
-        let parameters = estimates(self.ground, accepted, effect.forms[part.form].numbers);
+        let numbers = effect.forms[part.form].numbers;
+        let finer = self.ground.finer(&[part], &accepted.plant.values);
+        let mut parameters = estimates(self.ground, accepted, &[numbers, &finer].concat());
+        // What refines a form is told where it is there for certain.
+        let finer: Vec<&str> = finer.into_iter().map(|n| reported(n).0).collect();
+        parameters.retain(|e| !finer.contains(&e.name.as_str()) || e.interval[0] > 0.0);
         let p_null = match less.parts.is_empty() {
             true => self.chance.p(part.effect, Some(&held)),
             false => {

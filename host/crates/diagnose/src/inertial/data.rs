@@ -1,6 +1,7 @@
 //! The runs of an ordinary motor as they are compared: inputs relative to the largest, speeds of samples or of windows.
 
-use super::angle::{KEPT, Ripple, courses};
+use super::angle::{Course, KEPT, Ripple};
+use super::columns::{Columns, Recorded};
 use twum_record::measurement::{DriveResponse, Run, RunData};
 
 /// Fewest samples of which a run is made use of.
@@ -29,6 +30,9 @@ pub struct DriveRun {
     pub turns: Vec<f64>,
     /// Cosine and sine of every order of [`Data::ripples`] over the interval after each sample; empty where there is none.
     pub ripple: Vec<[f64; 2 * KEPT]>,
+    /// Load relative to the largest of all runs, and kelvins above the mean temperature of all, over the interval after each sample; empty
+    /// where neither was measured.
+    pub beside: Vec<[f64; 2]>,
 }
 
 impl DriveRun {
@@ -51,10 +55,6 @@ impl DriveRun {
         let averaged = |v: &[f64]| v.chunks_exact(by).map(mean).collect::<Vec<f64>>();
         let every = |v: &[f64]| v.chunks_exact(by).map(|c| c[0]).collect::<Vec<f64>>();
         let (time, turns) = (every(&self.time), every(&self.turns));
-        let ripple = self
-            .ripple
-            .chunks_exact(by)
-            .map(|c| std::array::from_fn(|j| mean(&c.iter().map(|r| r[j]).collect::<Vec<f64>>())));
         let windows = self.windows.as_ref().map(|_| windows(&time, &turns));
         let rpm = windows.as_ref().map_or_else(|| averaged(&self.rpm), |w| window_speeds(&time, &turns, w));
         Self {
@@ -65,7 +65,8 @@ impl DriveRun {
             rpm,
             windows,
             turns,
-            ripple: ripple.collect(),
+            ripple: every_mean(&self.ripple, by),
+            beside: every_mean(&self.beside, by),
         }
     }
 
@@ -85,7 +86,8 @@ impl DriveRun {
             rpm: self.rpm[rows].to_vec(),
             windows,
             turns: self.turns[samples.clone()].to_vec(),
-            ripple: self.ripple.get(samples).unwrap_or_default().to_vec(),
+            ripple: self.ripple.get(samples.clone()).unwrap_or_default().to_vec(),
+            beside: self.beside.get(samples).unwrap_or_default().to_vec(),
         }
     }
 
@@ -108,16 +110,26 @@ pub struct Data {
     pub unsigned: bool,
     /// Orders of a turn in which a torque may go with the angle.
     pub ripples: Vec<Ripple>,
+    /// The largest load, in the record's unit; none where it was not measured in every run.
+    pub largest_load: Option<f64>,
+    /// The mean temperature in °C, and by how many kelvins it changes; none where it was not measured in every run.
+    pub temperature: Option<(f64, f64)>,
+    /// Whether the record says what a controller was asked for.
+    pub controlled: bool,
 }
 
 impl Data {
     /// Reads the runs of format `drive`; what is left out is said.
     pub fn read(runs: &[&Run]) -> (Self, Vec<String>) {
         let mut out = Vec::new();
+        let mut columns = Vec::new();
         let mut notes = Vec::new();
         for run in runs {
             match read(run) {
-                Some(Ok(run)) => out.push(run),
+                Some(Ok((run, beside))) => {
+                    out.push(run);
+                    columns.push(beside);
+                }
                 Some(Err(note)) => notes.push(note),
                 None => {}
             }
@@ -131,7 +143,22 @@ impl Data {
         let reaches = |side: f64| out.iter().any(|r| r.input.iter().any(|v| v * side > 0.1));
         let unsigned = reaches(1.0) && reaches(-1.0) && out.iter().all(|r| r.rpm.iter().all(|v| *v >= 0.0));
         let usual_rpm = f64::sqrt(sum / f64::max(count, 1.0));
-        (Self { runs: out, largest_input, usual_rpm, unsigned, ripples: Vec::new() }, notes)
+        let (beside, said) = Columns::of(&columns);
+        notes.extend(said);
+        for (k, run) in out.iter_mut().enumerate() {
+            run.beside = beside.courses(k);
+        }
+        let data = Self {
+            runs: out,
+            largest_input,
+            usual_rpm,
+            unsigned,
+            ripples: Vec::new(),
+            largest_load: beside.largest_load,
+            temperature: beside.temperature,
+            controlled: beside.controlled,
+        };
+        (data, notes)
     }
 
     /// Other runs in the same scale.
@@ -142,12 +169,20 @@ impl Data {
             usual_rpm: self.usual_rpm,
             unsigned: self.unsigned,
             ripples: self.ripples.clone(),
+            largest_load: self.largest_load,
+            temperature: self.temperature,
+            controlled: self.controlled,
         }
     }
 
-    /// The same with orders of a torque over the angle.
-    pub fn with_ripples(&self, ripples: Vec<Ripple>) -> Self {
-        let run = |(i, run): (usize, &DriveRun)| DriveRun { ripple: courses(&run.turns, i, &ripples), ..run.clone() };
+    /// The same with orders of a torque over the angle, as a speed feels it through a lag; `rpm` are the speeds at the samples of every run,
+    /// where they are known.
+    pub fn with_ripples(&self, ripples: Vec<Ripple>, lag_s: f64, rpm: Option<&[Vec<f64>]>) -> Self {
+        let run = |(i, run): (usize, &DriveRun)| {
+            let rpm = rpm.map(|rpm| rpm[i].as_slice());
+            let course = Course { time_s: &run.time, turns: &run.turns, rpm, lag_s };
+            DriveRun { ripple: course.ripple(i, &ripples), ..run.clone() }
+        };
         Self { runs: self.runs.iter().enumerate().map(run).collect(), ripples, ..self.clone() }
     }
 
@@ -166,8 +201,8 @@ impl Data {
     }
 }
 
-fn read(run: &Run) -> Option<Result<DriveRun, String>> {
-    let RunData::Drive { time_us, input, response } = &run.data else { return None };
+fn read(run: &Run) -> Option<Result<(DriveRun, &Recorded), String>> {
+    let RunData::Drive { time_us, input, response, beside } = &run.data else { return None };
     if input.len() < LEAST_SAMPLES {
         return Some(Err(format!("run {}: {} samples, too few; left out", run.id, input.len())));
     }
@@ -188,7 +223,7 @@ fn read(run: &Run) -> Option<Result<DriveRun, String>> {
         }
     };
     let period_s = period(&time);
-    Some(Ok(DriveRun {
+    let run = DriveRun {
         id: run.id.clone(),
         time,
         period_s,
@@ -197,7 +232,15 @@ fn read(run: &Run) -> Option<Result<DriveRun, String>> {
         windows,
         turns,
         ripple: Vec::new(),
-    }))
+        beside: Vec::new(),
+    };
+    Some(Ok((run, beside)))
+}
+
+/// The means of so many rows each.
+fn every_mean<const N: usize>(rows: &[[f64; N]], by: usize) -> Vec<[f64; N]> {
+    let mean = |c: &[[f64; N]]| std::array::from_fn(|j| c.iter().map(|r| r[j]).sum::<f64>() / c.len() as f64);
+    rows.chunks_exact(by).map(mean).collect()
 }
 
 /// Mean speeds of windows in rpm.

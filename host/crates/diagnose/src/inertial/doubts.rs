@@ -92,12 +92,12 @@ pub fn slow(lag_s: f64) -> Option<String> {
 
 /// What a record of a closed loop hides; nothing of one that is open.
 pub fn loop_hides(data: &Data) -> Option<String> {
-    let (back, _) = follows(data);
-    (back > FOLLOWS).then(|| {
-        "the input follows the speed: this looks like a closed loop. It is taken as input and motion; noise of the speed is then in the \
-         input too, and what the loop evens out is not seen. Runs with the loop open would decide"
-            .to_owned()
-    })
+    const HIDES: &str = "It is taken as input and motion; noise of the speed is then in the input too, and what the loop evens out is not seen. \
+                         Runs with the loop open would decide";
+    if follows(data).0 > FOLLOWS {
+        return Some(format!("the input follows the speed: this looks like a closed loop. {HIDES}"));
+    }
+    data.controlled.then(|| format!("the column `reference` says that a controller made the input. {HIDES}"))
 }
 
 /// By how much each column foretells the other beyond what that foretells itself, as log factors of variances: the speed the input, and the

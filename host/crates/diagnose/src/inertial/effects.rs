@@ -3,7 +3,7 @@
 //! Sizes of inputs are shares of the largest one, times are in the record's own scale: nothing here knows a motor.
 
 use super::data::Data;
-use super::plant::P;
+use super::values::P;
 
 /// A number that is fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,6 +40,8 @@ pub enum Coordinate {
     Time,
     /// The angle.
     Angle,
+    /// The temperature.
+    Temperature,
 }
 
 /// One way in which an effect acts.
@@ -77,7 +79,7 @@ const AROUND_THE_THRESHOLD: &str = "let the motor run down from full speed at in
 const OTHER_WAY_ROUND: &str = "mount the motor the other way round and repeat the sweep: a load changes sides, the motor's own asymmetry does not";
 
 /// The library.
-pub const EFFECTS: [Effect; 9] = [
+pub const EFFECTS: [Effect; 10] = [
     Effect {
         name: "coulomb-friction",
         says: "a friction that does not depend on the speed brakes all motion and holds the motor at small inputs",
@@ -176,6 +178,15 @@ pub const EFFECTS: [Effect; 9] = [
                           eccentric encoder's error with the speed",
         own: false,
     },
+    Effect {
+        name: "heating",
+        says: "the input moves the motor less as it warms: copper and magnets lose with the temperature",
+        equation: "x → x·(1 − h·(ϑ − ϑ₀)), ϑ₀ the mean temperature of the runs",
+        coordinate: Coordinate::Temperature,
+        forms: &[Form { numbers: &[P::Heating], starts: &[&[0.0]], needs: &[] }],
+        next_experiment: "repeat a run cold and warm, in turns: what goes with the order and not with the temperature is wear",
+        own: false,
+    },
 ];
 
 /// Name and unit of a number in the JSON; sizes are shares of the largest input.
@@ -199,6 +210,10 @@ pub fn reported(number: P) -> (&'static str, &'static str) {
         P::CoggingCos | P::CoggingSin => ("cogging", "1"),
         P::Cogging2Cos | P::Cogging2Sin => ("cogging_2", "1"),
         P::RippleCos | P::RippleSin => ("torque_ripple", "1"),
+        P::Load => ("load_share", "1"),
+        P::Heating => ("loss_per_kelvin", "1/K"),
+        P::Corner => ("threshold_corner", "1"),
+        P::StribeckSpeed => ("stribeck_speed", "1"),
     }
 }
 
@@ -215,6 +230,16 @@ pub fn over_angle(number: P) -> Option<(P, usize)> {
 /// Whether a number is a time that [`Form::starts`] gives in samples.
 pub fn is_time(number: P) -> bool {
     matches!(number, P::DeadTime | P::SecondLag)
+}
+
+/// What the search leaves out of a number's form, with where its fit begins: it hardly moves the speeds, but it moves the numbers.
+pub fn refined_by(number: P) -> &'static [(P, f64)] {
+    match number {
+        P::DeadZone => &[(P::Corner, 0.02)],
+        P::Stiction => &[(P::StribeckSpeed, 0.02)],
+        P::Coulomb => &[(P::Stiction, 0.05), (P::StribeckSpeed, 0.02)],
+        _ => &[],
+    }
 }
 
 /// The number that does the same to slow changes.
@@ -248,9 +273,11 @@ pub fn free(number: P, data: &Data) -> Free {
             bounds: ((shortest / 30.0).ln(), (20.0 * longest).ln()),
             step: 1e-3,
         },
-        P::Skew => around_zero(0.5, (-1.5, 1.5), 1e-2),
+        // Steps of the input bend what a delay does where it is a whole number of samples: the derivative is over far less than is told.
+        P::Skew => around_zero(0.5, (-1.5, 1.5), 1e-3),
         // Longer than the skew by far where it is there at all.
-        P::DeadTime => around_zero(10.0 * shortest, (0.0, 0.3 * longest), 0.02 * shortest),
+        // Its derivative is over as much as that of the skew: both are one delay, and must look it on either side of a step of the input.
+        P::DeadTime => around_zero(10.0 * shortest, (0.0, 0.3 * longest), 1e-3 * shortest),
         P::SecondLag => around_zero(10.0 * shortest, (0.0, 0.3 * longest), 0.02 * shortest),
         P::Coulomb => around_zero(0.2, (0.0, 0.95), 1e-4),
         P::FrictionSplit => around_zero(0.3, (-0.95, 0.95), 1e-3),
@@ -265,5 +292,12 @@ pub fn free(number: P, data: &Data) -> Free {
         P::FlatTop => around_zero(0.2, (0.0, 0.8), 1e-3),
         P::CoggingCos | P::CoggingSin | P::Cogging2Cos | P::Cogging2Sin => around_zero(0.1, (-0.9, 0.9), 1e-4),
         P::RippleCos | P::RippleSin => around_zero(0.1, (-0.9, 0.9), 1e-3),
+        // Of any unit and sign; a load beyond what the drive can hold ten times over is none that it was run with.
+        P::Load => around_zero(0.5, (-10.0, 10.0), 1e-4),
+        // Copper gains 0.4 % of resistance a kelvin, magnets lose 0.1 to 0.2 %.
+        P::Heating => around_zero(0.004, (-0.05, 0.05), 1e-5),
+        // A ripple of some per cent rounds the corner, and friction falls within some per cent of the speed.
+        P::Corner => around_zero(0.05, (0.0, 0.3), 1e-4),
+        P::StribeckSpeed => around_zero(0.05, (0.0, 0.5), 1e-4),
     }
 }

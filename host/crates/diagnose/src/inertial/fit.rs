@@ -4,7 +4,8 @@
 
 use super::data::Data;
 use super::effects::Free;
-use super::plant::{Motion, P, Values, simulate, simulate_all};
+use super::plant::{Motion, goals, simulate, simulate_all, simulate_goals};
+use super::values::{P, Values};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -36,6 +37,13 @@ pub struct Noise {
     pub variance: f64,
     /// Relative spread of the gains of runs.
     pub gain_spread: f64,
+}
+
+impl Noise {
+    /// As it is among so many runs: a single run's gain is the plant's.
+    pub fn of_runs(self, runs: usize) -> Self {
+        if runs == 1 { Self { gain_spread: 0.0, ..self } } else { self }
+    }
 }
 
 /// Normal equations of one run over the free numbers, the initial speed (last but one) and the predicted speed (last).
@@ -100,6 +108,7 @@ pub fn derivatives(data: &Data, plant: &Plant, free: &[Free]) -> (Vec<Motion>, V
         .into_par_iter()
         .map(|i| {
             let run = &data.runs[i];
+            let same = goals(run, &plant.values);
             let slope = |moved: &Motion, step: f64| -> Vec<f64> {
                 moved.rpm.iter().zip(&now[i].rpm).map(|(a, b)| (a - b) / step).collect()
             };
@@ -108,13 +117,17 @@ pub fn derivatives(data: &Data, plant: &Plant, free: &[Free]) -> (Vec<Motion>, V
                 .map(|f| {
                     let value = plant.values.get(f.number);
                     let step = if value + f.step > f.bounds.1 { -f.step } else { f.step };
-                    let moved =
-                        simulate(run, &plant.values.with(f.number, value + step), plant.starts[i], data.unsigned);
+                    let values = plant.values.with(f.number, value + step);
+                    let moved = match Values::is_of_actuator(f.number) {
+                        true => simulate(run, &values, plant.starts[i], data.unsigned),
+                        false => simulate_goals(run, &values, &same, plant.starts[i], data.unsigned),
+                    };
                     slope(&moved, step)
                 })
                 .collect();
             let step = 1e-4 * data.usual_rpm;
-            columns.push(slope(&simulate(run, &plant.values, plant.starts[i] + step, data.unsigned), step));
+            let later = simulate_goals(run, &plant.values, &same, plant.starts[i] + step, data.unsigned);
+            columns.push(slope(&later, step));
             columns
         })
         .collect();
@@ -181,9 +194,25 @@ fn solve(
 }
 
 /// The plant after at most `steps` steps; rows `hidden` are not fitted.
-pub fn refit(data: &Data, mut plant: Plant, free: &[Free], noise: Noise, hidden: &[Block], steps: usize) -> Plant {
-    // A single run's gain is the plant's.
-    let noise = if data.runs.len() == 1 { Noise { gain_spread: 0.0, ..noise } } else { noise };
+pub fn refit(data: &Data, plant: Plant, free: &[Free], noise: Noise, hidden: &[Block], steps: usize) -> Plant {
+    refit_until(SETTLED, data, plant, free, noise, hidden, steps)
+}
+
+/// The plant where no step gains more than a share of the misfit that is a hundredth of a nat of all rows: intervals count them all.
+pub fn refit_to_the_end(data: &Data, plant: Plant, free: &[Free], noise: Noise, steps: usize) -> Plant {
+    refit_until(0.02 / data.rows() as f64, data, plant, free, noise, &[], steps)
+}
+
+fn refit_until(
+    settled: f64,
+    data: &Data,
+    mut plant: Plant,
+    free: &[Free],
+    noise: Noise,
+    hidden: &[Block],
+    steps: usize,
+) -> Plant {
+    let noise = noise.of_runs(data.runs.len());
     let mut value = misfit(data, &plant, free, noise, hidden);
     let mut damping = 1e-6;
     for _ in 0..steps {
@@ -215,7 +244,7 @@ pub fn refit(data: &Data, mut plant: Plant, free: &[Free], noise: Noise, hidden:
             }
             damping = (damping * 20.0).min(1e8);
         }
-        if before - value <= SETTLED * before.abs() {
+        if before - value <= settled * before.abs() {
             break;
         }
     }

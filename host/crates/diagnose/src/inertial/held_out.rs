@@ -4,8 +4,9 @@ use super::super::design::RunDesign;
 use super::super::stats::{Fold, Grams, Group, HeldOut, p_value};
 use super::data::Data;
 use super::fit::{Block, Plant, derivatives, refit};
-use super::plant::{P, simulate, simulate_all};
+use super::plant::{simulate, simulate_all};
 use super::sets::{Ground, Part, Set};
+use super::values::P;
 use rayon::prelude::*;
 use std::cell::RefCell;
 

@@ -5,6 +5,8 @@
 
 mod angle;
 mod apart;
+mod aside;
+mod columns;
 mod compensation;
 mod conclude;
 mod data;
@@ -21,6 +23,7 @@ mod ripple;
 mod search;
 mod sets;
 mod thin;
+mod values;
 mod weigh;
 
 pub use compensation::{Compensation, Fitted};
@@ -30,8 +33,8 @@ pub use effects::EFFECTS;
 pub use fit::Plant;
 pub use model::{Model, ModelError, RunAgainst};
 pub use plan::{InputRun, Piece, next_inputs};
-pub use plant::{P, Values};
 pub use report::{MotorReport, Number};
+pub use values::{P, Values};
 
 use super::Options;
 use super::answer::{Diagnosis, UnknownAnswer, Verdict, effect_answer};
@@ -74,9 +77,19 @@ fn not_judged_reason(name: &str, data: &Data) -> Option<String> {
         "dead-time" | "second-lag" if data.passes_once() => {
             Some("needs an input that comes back: over one pass a delay looks like a threshold".to_owned())
         }
+        "heating" => match data.temperature {
+            None => Some("needs a column `temperature`".to_owned()),
+            Some((_, change)) if change < LEAST_WARMTH_K => {
+                Some(format!("needs a temperature that changes: here by {change:.1} K"))
+            }
+            Some(_) => None,
+        },
         _ => None,
     }
 }
+
+/// Kelvins by which a temperature has to change before anything can go with it: copper makes 2 % of them, as much as gains usually scatter by.
+const LEAST_WARMTH_K: f64 = 5.0;
 
 /// What is asked.
 struct Asked<'a> {
@@ -165,6 +178,16 @@ fn judged(data: &Data, asked: &Asked) -> Result<InertialOutcome, String> {
         ground = Ground::new(later, asked.usable.clone());
         sets = ground.visit(line, asked.progress);
     }
+    let told = ground.has_angle(&sets[0]).then(|| ground.followed(&sets[0]));
+    if let Some(told) = &told {
+        let mut anew = Ground::new(told, asked.usable.clone());
+        let line = sets.iter().find(|s| s.parts.is_empty()).cloned().unwrap_or_else(|| anew.root());
+        let again = anew.again(sets.clone(), line);
+        // Told worse where the plant does not follow the motor.
+        if again[0].weighed.left < sets[0].weighed.left {
+            (ground, sets) = (anew, again);
+        }
+    }
     if let Some(own) = apart::differ(&ground, &sets[0]) {
         return each(data, asked, &own);
     }
@@ -209,6 +232,7 @@ mod tests {
                     windows: None,
                     turns: vec![0.0; 600],
                     ripple: Vec::new(),
+                    beside: Vec::new(),
                     input,
                 };
                 let values = hidden.iter().fold(Values::line(900.0, 0.03), |v, (p, to)| v.with(*p, *to));
@@ -217,7 +241,16 @@ mod tests {
                 run
             })
             .collect();
-        Data { runs, largest_input: 1.0, usual_rpm: 400.0, unsigned: false, ripples: Vec::new() }
+        Data {
+            runs,
+            largest_input: 1.0,
+            usual_rpm: 400.0,
+            unsigned: false,
+            ripples: Vec::new(),
+            largest_load: None,
+            temperature: None,
+            controlled: false,
+        }
     }
 
     fn judged(data: &Data) -> InertialOutcome {

@@ -5,7 +5,10 @@ use super::conclude::InertialOutcome;
 use super::data::{Data, DriveRun};
 use super::effects::reported;
 use super::fit::{Noise, Plant, refit};
-use super::plant::{P, Values, simulate, simulate_all};
+use super::held_out::squared_error;
+use super::plant::{simulate, simulate_all};
+use super::ripple::followed;
+use super::values::{P, Values};
 use crate::answer::Diagnosis;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -61,6 +64,12 @@ pub struct Model {
     /// Whether speeds have no sign.
     #[serde(default)]
     unsigned: bool,
+    /// The largest load of the runs it was fitted to, in their unit, where it was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    largest_load: Option<f64>,
+    /// The mean temperature of the runs it was fitted to, in °C, where it was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    temperature: Option<f64>,
     /// Its numbers by name.
     numbers: BTreeMap<String, f64>,
     /// Orders of torques over the angle.
@@ -122,6 +131,8 @@ impl Model {
             plant: "inertial".to_owned(),
             largest_input: outcome.data.largest_input,
             unsigned: outcome.data.unsigned,
+            largest_load: outcome.data.largest_load,
+            temperature: outcome.data.temperature.map(|t| t.0),
             numbers,
             orders: if over_angle { outcome.data.ripples.iter().map(order).collect() } else { Vec::new() },
         })
@@ -218,6 +229,12 @@ impl Model {
         if let Some((p, needed)) = over.iter().find(|(p, needed)| orders(p) && model.orders.len() < *needed) {
             return Err(wrong(format!("numbers.{} needs [[orders]], {needed} of them", key(*p))));
         }
+        if model.numbers.contains_key(key(P::Load)) && !model.largest_load.is_some_and(|v| v.is_finite() && v > 0.0) {
+            return Err(wrong(format!("numbers.{} needs largest_load, above 0", key(P::Load))));
+        }
+        if model.numbers.contains_key(key(P::Heating)) && !model.temperature.is_some_and(f64::is_finite) {
+            return Err(wrong(format!("numbers.{} needs temperature, in °C", key(P::Heating))));
+        }
         if model.orders.iter().any(|o| o.phases_rad.is_empty() || o.phases_rad.values().any(|v| !v.is_finite())) {
             return Err(wrong("orders.phases_rad: at least one phase, and each a number".to_owned()));
         }
@@ -240,9 +257,25 @@ impl Model {
 
     /// The runs beside what the motor makes of their inputs; of each only the initial speed is fitted. What was left out is said.
     pub fn against(&self, runs: &[&Run]) -> (Vec<RunAgainst>, Vec<String>) {
-        let (mut data, notes) = Data::read(runs);
+        let (mut data, mut notes) = Data::read(runs);
         let scale = data.largest_input / self.largest_input;
         data.runs.iter_mut().flat_map(|r| &mut r.input).for_each(|u| *u *= scale);
+        let load = data.largest_load.zip(self.largest_load).map_or(0.0, |(now, then)| now / then);
+        let warmer = data.temperature.zip(self.temperature).map_or(0.0, |(now, then)| now.0 - then);
+        data.runs.iter_mut().flat_map(|r| &mut r.beside).for_each(|[l, w]| {
+            *l *= load;
+            *w += warmer;
+        });
+        if self.largest_load.is_some() && data.largest_load.is_none() {
+            notes.push(
+                "the motor was fitted with a load that was measured; these runs have none: taken as 0".to_owned(),
+            );
+        }
+        if self.numbers.contains_key(key(P::Heating)) && data.temperature.is_none() {
+            notes.push(
+                "the motor was fitted with its temperature; these runs have none: taken as the mean then".to_owned(),
+            );
+        }
         data.unsigned |= self.unsigned;
         let ripple = |o: &Order| {
             let first = o.phases_rad.values().next().copied().unwrap_or(0.0);
@@ -250,10 +283,18 @@ impl Model {
             Ripple { order: o.order, phases }
         };
         let ripples: Vec<Ripple> = self.orders.iter().map(ripple).collect();
-        let data = data.with_ripples(ripples);
+        data = data.with_ripples(ripples, self.lag_s(), None);
         let starts = data.runs.iter().map(|r| r.rpm[0]).collect();
         let raw = Noise { variance: 1.0, gain_spread: 0.0 };
-        let plant = refit(&data, Plant { values: self.values(), starts }, &[], raw, &[], STEPS);
+        let started = |data: &Data, plant| refit(data, plant, &[], raw, &[], STEPS);
+        let mut plant = started(&data, Plant { values: self.values(), starts });
+        if !data.ripples.is_empty() {
+            let told = followed(&data, &plant, started);
+            let again = started(&told, plant.clone());
+            if squared_error(&told, &again) < squared_error(&data, &plant) {
+                (data, plant) = (told, again);
+            }
+        }
         let motions = simulate_all(&data, &plant.values, &plant.starts);
         let one = |(run, m): (&DriveRun, super::plant::Motion)| {
             let n = run.rpm.len() as f64;
@@ -285,6 +326,7 @@ impl Model {
             windows: None,
             turns: vec![0.0; SAMPLES + 1],
             ripple: Vec::new(),
+            beside: Vec::new(),
         };
         // What is early in a record is early by the record's samples.
         let values = self.values().with(P::Skew, 0.0);
@@ -306,8 +348,9 @@ fn admissible(number: P) -> (f64, f64) {
         P::LogLag => (1e-9, 1e6),
         P::Skew => (-1e3, 1e3),
         P::DeadTime | P::SecondLag => (0.0, 1e6),
-        P::Coulomb | P::Stiction | P::DeadZone | P::FlatTop => (0.0, 1.0),
+        P::Coulomb | P::Stiction | P::DeadZone | P::FlatTop | P::Corner | P::StribeckSpeed => (0.0, 1.0),
         P::Bend | P::BendPower => (0.0, 100.0),
+        P::Load => (-1e3, 1e3),
         _ => (-1.0, 1.0),
     }
 }

@@ -3,12 +3,14 @@
 //! The angle is the measured one, or the sum of the measured speeds: the torque is then as any other input, known up to its size, and
 //! does not drift away from the motor. Where the angles of the runs begin at unknown places, each run has a phase of its own.
 
-use super::angle::{KEPT, MOST_ORDERS, Ripple, waves};
+use super::angle::{Course, KEPT, MOST_ORDERS, Ripple};
 use super::data::{Data, DriveRun};
 use super::fit::Plant;
-use super::plant::simulate_all;
-use nalgebra::{Complex, Matrix3, Vector3};
+use super::plant::{simulate, simulate_all};
+use super::values::P;
+use nalgebra::{Complex, DMatrix, DVector, Matrix3, Vector3};
 use rayon::prelude::*;
+use std::f64::consts::TAU;
 
 /// Periods that the way between the ends of a run must have: fewer are a course over the angle, not an order.
 const LEAST_PERIODS: f64 = 3.0;
@@ -23,6 +25,13 @@ const LOOKED_AT: usize = 8000;
 const AGREE_RAD: f64 = 0.3;
 /// Nats that an order must take beyond its costs before it is offered at all, as [`super::super::verdict`] names by.
 const LEAST_NATS: f64 = 10.0;
+
+/// Times that an angle is told anew: each leaves a tenth of what it was off.
+const FOLLOWED: usize = 8;
+/// Knots of a drift over a run.
+const KNOTS: usize = 16;
+/// Radians by which an angle is moved at once: beyond, a wave is no straight line.
+const MOST_AHEAD: f64 = 0.7;
 
 /// What a torque makes of the speeds that are compared, through the lag.
 fn through_lag(run: &DriveRun, torque: impl Fn(usize) -> Complex<f64>, lag_s: f64) -> Vec<Complex<f64>> {
@@ -106,12 +115,72 @@ pub fn aligned(data: &Data, plant: &Plant, independent: f64) -> Option<Data> {
         }
         ripples.push(ripple);
     }
-    (!ripples.is_empty()).then(|| data.with_ripples(ripples))
+    (!ripples.is_empty()).then(|| data.with_ripples(ripples, plant.values.lag_s(), None))
+}
+
+/// The data with the angle told anew by a plant with a torque over it, which `refit` fits to what is then told.
+pub fn followed(data: &Data, plant: &Plant, refit: impl Fn(&Data, Plant) -> Plant) -> Data {
+    let (mut data, mut plant) = (data.clone(), plant.clone());
+    for _ in 0..FOLLOWED {
+        data = told(&data, &plant);
+        plant = refit(&data, plant);
+    }
+    data
+}
+
+/// The angle by what a plant makes of the runs: between the samples by the plant's speeds; and where it is the sum of measured speeds, whose
+/// noise drifts away from the motor, by where in the order the torque is seen to be.
+fn told(data: &Data, plant: &Plant) -> Data {
+    let lag_s = plant.values.lag_s();
+    let motions = simulate_all(data, &plant.values, &plant.starts);
+    let (mut runs, mut speeds) = (data.runs.clone(), Vec::new());
+    for (i, run) in runs.iter_mut().enumerate() {
+        if run.windows.is_none() && !data.unsigned {
+            for (turns, by) in run.turns.iter_mut().zip(drift(data, plant, i, &motions[i].rpm)) {
+                *turns += by;
+            }
+        }
+        let sampled = DriveRun { windows: None, ..run.clone() };
+        speeds.push(simulate(&sampled, &plant.values, plant.starts[i], false).rpm);
+    }
+    Data { runs, ..data.clone() }.with_ripples(data.ripples.clone(), lag_s, Some(&speeds))
+}
+
+/// By how many turns the motor is ahead of its summed speeds at every sample: a course over knots, as far as noise lets the sum drift.
+fn drift(data: &Data, plant: &Plant, at: usize, predicted: &[f64]) -> Vec<f64> {
+    let (run, v, ripple) = (&data.runs[at], &plant.values, &data.ripples[0]);
+    let n = run.rpm.len();
+    let rest = DVector::from_iterator(n, run.rpm.iter().zip(predicted).map(|(y, p)| y - p));
+    let variance = (rest.norm_squared() / n as f64).max(1e-12);
+    let hat = |k: usize, j: usize| (1.0 - (k as f64 * (KNOTS - 1) as f64 / (n - 1) as f64 - j as f64).abs()).max(0.0);
+    let columns = (0..KNOTS).map(|j| {
+        let ahead = |k: usize| {
+            let [re, im] = [run.ripple[k][0], run.ripple[k][1]];
+            let steady = v.get(P::CoggingSin) * re - v.get(P::CoggingCos) * im;
+            let driven = v.get(P::RippleSin) * re - v.get(P::RippleCos) * im;
+            Complex::from((steady + driven * v.actuated(run.input[k])) * v.get(P::Gain) * hat(k, j))
+        };
+        DVector::from_iterator(n, through_lag(run, ahead, v.lag_s()).into_iter().map(|w| w.re))
+    });
+    let x = DMatrix::from_columns(&columns.collect::<Vec<_>>());
+    let mut g = x.tr_mul(&x) / variance;
+    // From knot to knot the sum of so many errors wanders by the root of their number.
+    let radians = TAU * ripple.order as f64 / 60.0 * run.period_s;
+    let step = (radians * radians * variance * n as f64 / (KNOTS - 1) as f64).max(1e-12);
+    for j in 1..KNOTS {
+        for (a, b, sign) in [(j, j, 1.0), (j - 1, j - 1, 1.0), (j, j - 1, -1.0), (j - 1, j, -1.0)] {
+            g[(a, b)] += sign / step;
+        }
+    }
+    g[(0, 0)] += 1.0 / (AGREE_RAD * AGREE_RAD);
+    let ahead = g.cholesky().map_or(DVector::zeros(KNOTS), |c| c.solve(&(x.tr_mul(&rest) / variance)));
+    let ahead = ahead.map(|a| a.clamp(-MOST_AHEAD, MOST_AHEAD) / (TAU * ripple.order as f64));
+    (0..n).map(|k| (0..KNOTS).map(|j| ahead[j] * hat(k, j)).sum()).collect()
 }
 
 /// What an order of torque makes of the compared speeds, steady or going with the input.
 fn seen(run: &DriveRun, order: usize, lag_s: f64, with_input: bool) -> Vec<Complex<f64>> {
-    let wave = waves(&run.turns, order);
+    let wave = Course { time_s: &run.time, turns: &run.turns, rpm: None, lag_s }.waves(order);
     through_lag(run, |k| if with_input { wave[k] * run.input[k] } else { wave[k] }, lag_s)
 }
 

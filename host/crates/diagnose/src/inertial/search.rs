@@ -4,13 +4,15 @@ use super::super::search::{MOST_EFFECTS, MOST_EXPANDED, TRIED, WINDOW};
 use super::super::verdict::ALIKE;
 use super::effects::{EFFECTS, Form, is_time, twin};
 use super::fit::{Plant, misfit, refit};
-use super::plant::{P, Values};
-use super::sets::{Ground, LEAST_INDEPENDENT, LOOK, Part, STEPS, Set, key, memory};
+use super::sets::{Ground, LEAST_INDEPENDENT, LOOK, Part, Set, key, memory};
 use super::thin::thinned;
+use super::values::{P, Values};
 use rayon::prelude::*;
 
 /// Nats behind the best set within which a set found in a part of the record is refitted on the whole: that far a rival counts.
 const NEAR: f64 = ALIKE;
+/// Steps of such a refit: it begins where the same motor was fitted, and each step at least halves what is left.
+const AGAIN: usize = 8;
 /// Most sets that are.
 const MOST_KEPT: usize = 16;
 /// Starts of an effect from which a few steps are made: those that look best as they are.
@@ -24,6 +26,11 @@ impl Ground<'_> {
         let begun = small.root();
         let found = small.search(begun, progress);
         progress("refitting on the whole record", 0.75);
+        self.again(found, root)
+    }
+
+    /// Sets that were found in other data of the same runs, refitted and weighed in these: those near the best, and the single effects.
+    pub fn again(&mut self, found: Vec<Set>, root: Set) -> Vec<Set> {
         let near = found[0].score - NEAR;
         let kept = found.into_iter().filter(|s| s.score > near || s.parts.len() == 1).filter(|s| !s.parts.is_empty());
         let kept: Vec<Set> = kept.take(MOST_KEPT).collect();
@@ -31,7 +38,7 @@ impl Ground<'_> {
             let mut plant = Plant { values: set.plant.values, starts: root.plant.starts.clone() };
             plant.values.set(P::Skew, root.plant.values.get(P::Skew));
             let free = self.free(&set.parts);
-            let plant = refit(self.data, plant, &free, self.noise(&root.plant), &[], STEPS);
+            let plant = refit(self.data, plant, &free, self.noise(&root.plant), &[], AGAIN);
             self.weigh_set(set.parts, plant, Some(&root))
         });
         let mut pool: Vec<Set> = sets.collect();

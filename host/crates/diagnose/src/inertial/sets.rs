@@ -7,9 +7,11 @@ use super::super::verdict::Visited;
 use super::super::weighing::{EFFECT_COST, SAME_COORDINATE};
 use super::angle::Ripple;
 use super::data::Data;
-use super::effects::{EFFECTS, Free, free, over_angle};
-use super::fit::{Noise, Plant, log_prior, misfit, refit};
-use super::plant::{P, Values, simulate_all};
+use super::effects::{EFFECTS, Free, free, over_angle, refined_by};
+use super::fit::{Noise, Plant, log_prior, misfit, refit, refit_to_the_end};
+use super::plant::simulate_all;
+use super::ripple::followed;
+use super::values::{P, Values};
 use super::weigh::{Evidence, Terms, weigh_plant};
 use rayon::prelude::*;
 
@@ -57,6 +59,11 @@ impl Set {
     /// Indices of its effects, sorted.
     pub fn key(&self) -> Vec<usize> {
         key(&self.parts)
+    }
+
+    /// The numbers of its effects.
+    fn numbers(&self) -> impl Iterator<Item = P> {
+        self.parts.iter().flat_map(|p| EFFECTS[p.effect].forms[p.form].numbers).copied()
     }
 
     /// What the verdict has to know of it.
@@ -115,13 +122,25 @@ impl<'a> Ground<'a> {
     /// The same with others beside.
     pub fn free_with(&self, parts: &[Part], others: &[P]) -> Vec<Free> {
         let numbers = parts.iter().flat_map(|p| EFFECTS[p.effect].forms[p.form].numbers).chain(others);
-        [P::Gain, P::LogLag, P::Skew].iter().chain(numbers).map(|p| free(*p, self.data)).collect()
+        // A load that was measured is as any input, known up to its size.
+        let load = self.data.largest_load.map(|_| &P::Load);
+        [P::Gain, P::LogLag, P::Skew].iter().chain(load).chain(numbers).map(|p| free(*p, self.data)).collect()
     }
 
     /// What residuals scatter around a plant.
     pub fn noise(&self, plant: &Plant) -> Noise {
+        self.noise_among(self.independent, plant)
+    }
+
+    /// The same where every sample counts that is not foretold by the one before: sizes are told by all of them, and what is believed of a
+    /// size may not stand against more of them than it is worth.
+    pub fn noise_of_samples(&self, plant: &Plant) -> Noise {
+        self.noise_among(self.data.rows() as f64 / memory(self.data, plant), plant)
+    }
+
+    fn noise_among(&self, independent: f64, plant: &Plant) -> Noise {
         let raw = Noise { variance: 1.0, gain_spread: 0.0 };
-        let variance = misfit(self.data, plant, &[], raw, &[]) / self.independent;
+        let variance = misfit(self.data, plant, &[], raw, &[]) / independent;
         Noise { variance: variance.max(1e-12), gain_spread: GAIN_SPREAD }
     }
 
@@ -167,6 +186,57 @@ impl<'a> Ground<'a> {
             best = refit(self.data, other, &free, noise, &[], STEPS);
         }
         best
+    }
+
+    /// A set with its plant refitted as finely as its intervals are told, its forms with what the search leaves out of them.
+    pub fn settled(&self, set: &Set) -> Set {
+        let noise = self.noise_of_samples(&set.plant);
+        let fitted = |plant: Plant| {
+            let free = self.free_of(&set.parts, &plant.values);
+            let plant = refit_to_the_end(self.data, plant, &free, noise, STEPS);
+            (misfit(self.data, &plant, &free, noise, &[]), plant)
+        };
+        let mut best = fitted(set.plant.clone());
+        for finer in set.numbers().map(refined_by) {
+            let mut values = best.1.values;
+            for (number, begin) in finer.iter().filter(|f| best.1.values.get(f.0) == 0.0) {
+                values.set(*number, *begin);
+            }
+            let finer = fitted(Plant { values, starts: best.1.starts.clone() });
+            if finer.0 < best.0 {
+                best = finer;
+            }
+        }
+        // Where a step of the input falls onto a sample, steps of a fit that see one side of it alone end beside the best.
+        let mut whole = best.1.clone();
+        let period = self.data.runs.iter().map(|r| r.period_s).fold(f64::INFINITY, f64::min);
+        let late = whole.values.get(P::DeadTime) / period;
+        whole.values.set(P::Skew, (late + whole.values.get(P::Skew)).round() - late);
+        let free = self.free_of(&set.parts, &whole.values);
+        let others: Vec<Free> =
+            free.iter().filter(|f| f.number != P::Skew && f.number != P::DeadTime).copied().collect();
+        let whole = refit_to_the_end(self.data, whole, &others, noise, STEPS);
+        if misfit(self.data, &whole, &free, noise, &[]) < best.0 {
+            best.1 = whole;
+        }
+        Set { plant: best.1, ..set.clone() }
+    }
+
+    /// Numbers that refine those of some effects in a plant, and are not theirs.
+    pub fn finer(&self, parts: &[Part], values: &Values) -> Vec<P> {
+        let own = |p: &Part| EFFECTS[p.effect].forms[p.form].numbers;
+        let mut finer: Vec<P> = Vec::new();
+        for (number, _) in parts.iter().flat_map(own).flat_map(|n| refined_by(*n)) {
+            if values.get(*number) > 0.0 && !finer.contains(number) && parts.iter().all(|p| !own(p).contains(number)) {
+                finer.push(*number);
+            }
+        }
+        finer
+    }
+
+    /// What is free in a set whose plant has these values.
+    pub fn free_of(&self, parts: &[Part], values: &Values) -> Vec<Free> {
+        self.free_with(parts, &self.finer(parts, values))
     }
 
     /// The gain that suits the other numbers best: speeds go with it as a whole.
@@ -232,6 +302,17 @@ impl<'a> Ground<'a> {
     fn orders_of(&self, part: &Part) -> usize {
         let numbers = EFFECTS[part.effect].forms[part.form].numbers;
         numbers.iter().filter_map(|n| over_angle(*n)).map(|(_, at)| at + 1).max().unwrap_or(0)
+    }
+
+    /// Whether a torque over the angle is in a set.
+    pub fn has_angle(&self, set: &Set) -> bool {
+        set.parts.iter().any(|p| self.orders_of(p) > 0)
+    }
+
+    /// The data with the angle told anew by a set with a torque over it.
+    pub fn followed(&self, set: &Set) -> Data {
+        let (free, noise) = (self.free(&set.parts), self.noise_of_samples(&set.plant));
+        followed(self.data, &set.plant, |data, plant| refit(data, plant, &free, noise, &[], LOOK))
     }
 
     /// Whether a form can act beside a set: its numbers are about something that is there.

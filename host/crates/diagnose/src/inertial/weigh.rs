@@ -8,7 +8,7 @@ use super::super::weighing::{FREE_FORM_COST, TERM_COST};
 use super::data::{Data, DriveRun};
 use super::effects::Free;
 use super::fit::{Plant, derivatives};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, DVector};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -90,9 +90,11 @@ impl Terms {
                 }
                 place => {
                     let first = if place == "angle" { 1 } else { 3 };
-                    for (j, pair) in to.chunks_exact_mut(2).enumerate() {
-                        let (sin, cos) = (TAU * run.turns[sample] * (first + j) as f64).sin_cos();
-                        pair.copy_from_slice(&[cos, sin]);
+                    let once = Complex::from_polar(1.0, TAU * run.turns[sample]);
+                    let mut wave = once.powu(first);
+                    for pair in to.chunks_exact_mut(2) {
+                        pair.copy_from_slice(&[wave.re, wave.im]);
+                        wave *= once;
                     }
                 }
             }

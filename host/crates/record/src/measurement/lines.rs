@@ -92,43 +92,58 @@ impl Lines {
 
     /// Splits the current line at commas into exactly `N` fields with their columns.
     pub(super) fn fields<const N: usize>(&self) -> Result<[Field<'_>; N], MeasurementError> {
-        let mut fields = [Field { text: b"", column: 1 }; N];
+        let mut fields = [Field::default(); N];
+        self.split(&mut fields)?;
+        Ok(fields)
+    }
+
+    /// Splits the current line at commas into exactly as many fields as there are.
+    pub(super) fn split<'a>(&'a self, fields: &mut [Field<'a>]) -> Result<(), MeasurementError> {
+        let of = fields.len();
         let mut count = 0;
         let mut start = 0;
         for raw in self.line().split(|byte| *byte == b',') {
             let text = raw.trim_ascii();
             let column = start + 1 + (raw.len() - raw.trim_ascii_start().len());
             let Some(field) = fields.get_mut(count) else {
-                return Err(self.error(column, format!("more than the {N} columns of the header")));
+                return Err(self.error(column, format!("more than the {of} columns of the header")));
             };
             *field = Field { text, column };
             count += 1;
             start += raw.len() + 1;
         }
-        if count < N {
+        if count < of {
             let column = self.line().len() + 1;
             return Err(self.error(
                 column,
-                format!("{count} of {N} columns: the line is cut off or the separator is not a comma"),
+                format!("{count} of {of} columns: the line is cut off or the separator is not a comma"),
             ));
         }
-        Ok(fields)
+        Ok(())
     }
 
     /// Reads the header and says which of the accepted ones it is.
     pub(super) fn header(&mut self, accepted: &[&str]) -> Result<usize, MeasurementError> {
-        let expected = accepted.join("` or `");
+        let expected = format!("`{}`", accepted.join("` or `"));
+        let found = self.names(&expected)?;
+        let is = |header: &&str| header.split(',').eq(found.iter().map(String::as_str));
+        accepted.iter().position(is).ok_or_else(|| self.unexpected(&expected))
+    }
+
+    /// Reads the names of a header; `expected` says in a message what they should be.
+    pub(super) fn names(&mut self, expected: &str) -> Result<Vec<String>, MeasurementError> {
         if !self.advance()? {
-            return Err(self.error(1, format!("the file is empty: expected the header `{expected}`")));
+            return Err(self.error(1, format!("the file is empty: expected the header {expected}")));
         }
-        let found: Vec<&[u8]> = self.line().split(|byte| *byte == b',').map(<[u8]>::trim_ascii).collect();
-        accepted.iter().position(|header| header.split(',').map(str::as_bytes).eq(found.iter().copied())).ok_or_else(
-            || {
-                let line = self.line();
-                let shown = line[..line.len().min(60)].escape_ascii();
-                self.error(1, format!("expected the header `{expected}`, found `{shown}`"))
-            },
-        )
+        let name = |raw: &[u8]| String::from_utf8_lossy(raw.trim_ascii()).into_owned();
+        Ok(self.line().split(|byte| *byte == b',').map(name).collect())
+    }
+
+    /// The current line is not the header that it should be.
+    pub(super) fn unexpected(&self, expected: &str) -> MeasurementError {
+        let line = self.line();
+        let shown = line[..line.len().min(60)].escape_ascii();
+        self.error(1, format!("expected the header {expected}, found `{shown}`"))
     }
 
     pub(super) fn number(&self, field: Field<'_>, name: &str) -> Result<f64, MeasurementError> {
@@ -183,7 +198,7 @@ impl Lines {
     }
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(super) struct Field<'a> {
     text: &'a [u8],
     pub(super) column: usize,

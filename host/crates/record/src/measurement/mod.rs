@@ -20,6 +20,7 @@ pub use error::MeasurementError;
 pub use manifest::{Files, below};
 
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Name of the file that describes the folder.
@@ -129,7 +130,7 @@ pub enum Format {
     Velocity,
     /// `time_us,target,position,u,duty,direction`.
     Control,
-    /// `time_us,input,position_rad` or `time_us,input,speed_rpm`.
+    /// `time_us,input,position_rad` or `time_us,input,speed_rpm`, then any of [`Beside`]; `current` for `input` says that it is one.
     Drive,
 }
 
@@ -222,6 +223,8 @@ pub enum RunData {
         input: Vec<f64>,
         /// What was measured, one entry a sample.
         response: DriveResponse,
+        /// What was recorded beside them, one entry a sample each.
+        beside: BTreeMap<Beside, Vec<f64>>,
     },
 }
 
@@ -258,6 +261,34 @@ pub enum DriveResponse {
     PositionRad(Vec<f64>),
     /// Speed in revolutions a minute.
     SpeedRpm(Vec<f64>),
+}
+
+/// A column that may stand beside those that every [`Format::Drive`] run has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Beside {
+    /// Torque or force of a load, in any unit; positive brakes motion that is counted positive under a positive input.
+    Load,
+    /// What a controller was asked for, in the unit of what is measured.
+    Reference,
+    /// Current, in any unit.
+    Current,
+    /// Temperature in °C.
+    Temperature,
+}
+
+impl Beside {
+    /// All, in the order in which they are written.
+    pub const ALL: [Self; 4] = [Self::Load, Self::Reference, Self::Current, Self::Temperature];
+
+    /// The column's name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Load => "load",
+            Self::Reference => "reference",
+            Self::Current => "current",
+            Self::Temperature => "temperature",
+        }
+    }
 }
 
 impl Measurement {

@@ -1,8 +1,8 @@
 //! The tables of a measurement folder: a header, then rows of numbers.
 
-use super::lines::{Budget, Clock, Lines};
+use super::lines::{Budget, Clock, Field, Lines};
 use super::units::Units;
-use super::{ControlRow, Direction, DriveResponse, Format, LevelEdge, MeasurementError, RunData, packed};
+use super::{Beside, ControlRow, Direction, DriveResponse, Format, LevelEdge, MeasurementError, RunData, packed};
 use std::io::BufRead;
 use std::path::Path;
 
@@ -141,42 +141,74 @@ fn control(lines: &mut Lines, budget: &mut Budget) -> Result<RunData, Measuremen
     Ok(RunData::Control(rows))
 }
 
-/// The headers of an ordinary motor: units in the names, or in `measurement.toml`.
-const DRIVE: [&str; 8] = [
-    "time_us,input,position_rad",
-    "time_us,input,speed_rpm",
-    "time,input,position_rad",
-    "time,input,speed_rpm",
-    "time_us,input,position",
-    "time_us,input,speed",
-    "time,input,position",
-    "time,input,speed",
-];
+/// The headers of an ordinary motor, in words.
+const DRIVE: &str = "`time_us,input,position_rad` or `time_us,input,speed_rpm` (or `time`, `position`, `speed` in the units of the folder; \
+                     `current` where the input is one), then any of `load`, `reference`, `current`, `temperature`";
+
+/// The columns of an ordinary motor's file: units in the names, or in `measurement.toml`.
+struct DriveColumns {
+    /// µs of one unit of the time.
+    unit_us: f64,
+    /// rpm or rad of one unit of what is measured.
+    unit: f64,
+    is_speed: bool,
+    beside: Vec<Beside>,
+}
+
+impl DriveColumns {
+    fn read(lines: &mut Lines, units: &Units) -> Result<Self, MeasurementError> {
+        let names = lines.names(DRIVE)?;
+        let [time, input, measured, more @ ..] = names.as_slice() else { return Err(lines.unexpected(DRIVE)) };
+        let mut beside: Vec<Beside> = Vec::new();
+        for name in more {
+            match Beside::ALL.into_iter().find(|b| b.name() == name) {
+                Some(one) if input == name || beside.contains(&one) => {
+                    return Err(lines.error(1, format!("the column `{name}` is there twice")));
+                }
+                Some(one) => beside.push(one),
+                None => return Err(lines.unexpected(DRIVE)),
+            }
+        }
+        let unit = |of: Result<f64, String>| of.map_err(|what| lines.error(1, what));
+        let (is_speed, unit_of_measured) = match measured.as_str() {
+            "speed_rpm" => (true, 1.0),
+            "position_rad" => (false, 1.0),
+            "speed" => (true, unit(units.speed_rpm())?),
+            "position" => (false, unit(units.position_rad())?),
+            _ => return Err(lines.unexpected(DRIVE)),
+        };
+        let unit_us = match time.as_str() {
+            "time_us" => 1.0,
+            "time" => unit(units.time_us())?,
+            _ => return Err(lines.unexpected(DRIVE)),
+        };
+        if !["input", "current"].contains(&input.as_str()) {
+            return Err(lines.unexpected(DRIVE));
+        }
+        Ok(Self { unit_us, unit: unit_of_measured, is_speed, beside })
+    }
+}
 
 fn drive(lines: &mut Lines, units: &Units, budget: &mut Budget) -> Result<RunData, MeasurementError> {
-    let header = DRIVE[lines.header(&DRIVE)?];
-    let unit = |named: bool, of: Result<f64, String>| match named {
-        true => Ok(1.0),
-        false => of.map_err(|what| lines.error(1, what)),
-    };
-    let is_speed = header.contains("speed");
-    let unit_us = unit(header.starts_with("time_us"), units.time_us())?;
-    let by = match is_speed {
-        true => unit(header.ends_with("_rpm"), units.speed_rpm())?,
-        false => unit(header.ends_with("_rad"), units.position_rad())?,
-    };
-    let name = if is_speed { "speed" } else { "position" };
+    let columns = DriveColumns::read(lines, units)?;
+    let name = if columns.is_speed { "speed" } else { "position" };
     let mut clock = Clock::default();
     let (mut time_us, mut input, mut values) = (Vec::new(), Vec::new(), Vec::new());
+    let mut beside: Vec<Vec<f64>> = vec![Vec::new(); columns.beside.len()];
     while lines.advance()? {
-        let [time, known, measured] = lines.fields::<3>()?;
-        budget.push(&mut time_us, lines.time_in(unit_us, time, &mut clock)?, lines)?;
-        budget.push(&mut input, lines.number(known, "input")?, lines)?;
-        budget.push(&mut values, by * lines.number(measured, name)?, lines)?;
+        let mut fields = [Field::default(); 3 + Beside::ALL.len()];
+        let fields = &mut fields[..3 + beside.len()];
+        lines.split(fields)?;
+        budget.push(&mut time_us, lines.time_in(columns.unit_us, fields[0], &mut clock)?, lines)?;
+        budget.push(&mut input, lines.number(fields[1], "input")?, lines)?;
+        budget.push(&mut values, columns.unit * lines.number(fields[2], name)?, lines)?;
+        for ((to, field), column) in beside.iter_mut().zip(&fields[3..]).zip(&columns.beside) {
+            budget.push(to, lines.number(*field, column.name())?, lines)?;
+        }
     }
     two_rows(lines, time_us.len())?;
-    let response = if is_speed { DriveResponse::SpeedRpm(values) } else { DriveResponse::PositionRad(values) };
-    Ok(RunData::Drive { time_us, input, response })
+    let response = if columns.is_speed { DriveResponse::SpeedRpm(values) } else { DriveResponse::PositionRad(values) };
+    Ok(RunData::Drive { time_us, input, response, beside: columns.beside.into_iter().zip(beside).collect() })
 }
 
 fn two_rows(lines: &Lines, count: usize) -> Result<(), MeasurementError> {

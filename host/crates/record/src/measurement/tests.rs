@@ -233,7 +233,7 @@ fn an_ordinary_motors_units_are_those_the_folder_names() {
         ("position_unit = \"m\"\nmm_per_turn = 72000", "time_us,input,position", 2.0, tau / 2.0),
         ("position_unit = \"turns\"\ntime_unit = \"ms\"", "time,input,position_rad", 2e3, 36.0),
     ] {
-        let RunData::Drive { time_us, input, response } = loaded(units, header).unwrap() else { panic!() };
+        let RunData::Drive { time_us, input, response, .. } = loaded(units, header).unwrap() else { panic!() };
         let (DriveResponse::SpeedRpm(values) | DriveResponse::PositionRad(values)) = response;
         assert_eq!((time_us[1], input[1]), (last_us, 0.5), "{units}");
         assert!((values[1] / last - 1.0).abs() < 1e-12, "{units}: {}", values[1]);
@@ -249,6 +249,39 @@ fn an_ordinary_motors_units_are_those_the_folder_names() {
     ] {
         let error = loaded(units, header).unwrap_err();
         assert!(error.contains(word), "{units}, {header}: {error}");
+    }
+}
+
+/// Fails if a column beside the motion is taken for another, or one that is not known is read over.
+#[test]
+fn columns_beside_the_motion_are_read_by_their_names() {
+    let loaded = |header: &str, row: &str| {
+        let manifest = "name = \"n\"\nmotor = \"inertial\"\n[[run]]\nid = \"a\"\nkind = \"speed\"\nfile = \"a.csv\"\nformat = \"drive\"\n";
+        let dir = folder(manifest, &[("a.csv", format!("{header}\n{row}\n2{}\n", &row[1..]).as_bytes())]);
+        Measurement::load(dir.path()).map(|mut m| m.runs.remove(0).data).map_err(|e| e.to_string())
+    };
+    let header = "time_us,input,speed_rpm,temperature,load,current,reference";
+    let RunData::Drive { input, beside, .. } = loaded(header, "0,1,2,21.5,0.3,4,7").unwrap() else { panic!() };
+    assert_eq!(input, [1.0, 1.0]);
+    for (column, value) in
+        [(Beside::Temperature, 21.5), (Beside::Load, 0.3), (Beside::Current, 4.0), (Beside::Reference, 7.0)]
+    {
+        assert_eq!(beside[&column], [value; 2], "{}", column.name());
+    }
+    let RunData::Drive { input, beside, .. } = loaded("time_us,current,speed_rpm,load", "0,1,2,3").unwrap() else {
+        panic!()
+    };
+    assert_eq!((input, beside.len()), (vec![1.0; 2], 1));
+    for (header, row, word) in [
+        ("time_us,input,speed_rpm,torque", "0,1,2,3", "`temperature`, found `time_us,input,speed_rpm,torque`"),
+        ("time_us,input,speed_rpm,load,load", "0,1,2,3,4", "`load` is there twice"),
+        ("time_us,current,speed_rpm,current", "0,1,2,3", "`current` is there twice"),
+        ("time_us,input,speed_rpm,load", "0,1,2,x", "load `x` is not a number"),
+        ("time_us,input,speed_rpm,load", "0,1,2", "3 of 4 columns"),
+        ("time_us,input", "0,1", "expected the header"),
+    ] {
+        let error = loaded(header, row).unwrap_err();
+        assert!(error.contains(word), "{header}: {error}");
     }
 }
 
@@ -286,11 +319,14 @@ fn any_data() -> impl Strategy<Value = RunData> {
         rpm.iter_mut().for_each(|v| *v *= 1e-5);
         RunData::Velocity { time_us, rpm }
     });
-    let drive = (series, any::<bool>()).prop_map(|((time_us, input, values), speed)| RunData::Drive {
-        time_us,
-        input,
-        response: if speed { DriveResponse::SpeedRpm(values) } else { DriveResponse::PositionRad(values) },
-    });
+    let columns = prop::collection::btree_set(prop::sample::select(Beside::ALL.to_vec()), 0..=Beside::ALL.len());
+    let drive =
+        (series, any::<bool>(), columns).prop_map(|((time_us, input, values), speed, columns)| RunData::Drive {
+            beside: columns.into_iter().map(|c| (c, input.iter().map(|v| v * 1e-3).collect())).collect(),
+            time_us,
+            input,
+            response: if speed { DriveResponse::SpeedRpm(values) } else { DriveResponse::PositionRad(values) },
+        });
     let control = (2usize..40)
         .prop_flat_map(|n| {
             let row = (-1_000_000..1_000_000i32, -1_000_000..1_000_000i32, -1e4..1e4f64, 0.0..=1.0f64, any::<bool>());

@@ -140,14 +140,16 @@ pub(super) fn write_data(out: &mut impl Write, data: &RunData) -> io::Result<()>
                 writeln!(out, "{},{},{},{},{},{direction}", row.time_us, row.target, row.position, row.u, row.duty)?;
             }
         }
-        RunData::Drive { time_us, input, response } => {
+        RunData::Drive { time_us, input, response, beside } => {
             let (name, values) = match response {
                 DriveResponse::PositionRad(values) => ("position_rad", values),
                 DriveResponse::SpeedRpm(values) => ("speed_rpm", values),
             };
-            writeln!(out, "time_us,input,{name}")?;
-            for ((time_us, input), value) in time_us.iter().zip(input).zip(values) {
-                writeln!(out, "{time_us},{input},{value}")?;
+            let names: String = beside.keys().map(|column| format!(",{}", column.name())).collect();
+            writeln!(out, "time_us,input,{name}{names}")?;
+            for (k, ((time_us, input), value)) in time_us.iter().zip(input).zip(values).enumerate() {
+                let more: String = beside.values().filter_map(|v| v.get(k)).map(|v| format!(",{v}")).collect();
+                writeln!(out, "{time_us},{input},{value}{more}")?;
             }
         }
     }
