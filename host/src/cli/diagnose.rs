@@ -12,7 +12,7 @@ use twum_host::diagnose::inertial::Model;
 use twum_host::diagnose::{Details, Options, answer, diagnose, known_effects, saved};
 use twum_host::input::{self, printable};
 use twum_host::model::hypothesis::Hypothesis;
-use twum_host::model::motor::Motor;
+use twum_host::model::motor::{Motor, parse_hypothesis};
 use twum_host::model::parameters::Flavour;
 use twum_host::output;
 use twum_host::record::load::load_runs;
@@ -101,7 +101,7 @@ pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option
 /// The effect in a file of the user's own.
 fn hypothesis(path: &Path) -> Result<Arc<Hypothesis>> {
     let text = input::text(path, input::WRITTEN).with_context(|| format!("reading the effect {}", path.display()))?;
-    Ok(Arc::new(Hypothesis::parse(&path.display().to_string(), &text)?))
+    Ok(Arc::new(parse_hypothesis(&path.display().to_string(), &text)?))
 }
 
 /// Runs `twum diagnose`.

@@ -7,8 +7,8 @@ use twum_host::diagnose::motor::free_speed;
 use twum_host::diagnose::saved::file;
 use twum_host::diagnose::{Details, Options, diagnose};
 use twum_host::model::effects::EffectSet;
-use twum_host::model::hypothesis::{Hypothesis, Mine};
-use twum_host::model::motor::Motor;
+use twum_host::model::hypothesis::Mine;
+use twum_host::model::motor::{Motor, parse_hypothesis};
 use twum_host::model::parameters::Parameters;
 
 /// A supply that swings slowly: the library has nothing that comes and goes.
@@ -32,7 +32,7 @@ loss = { typical = 0.1, min = -0.5, max = 0.5 }
 "#;
 
 fn hidden(text: &str, values: &[f64]) -> EffectSet {
-    let hypothesis = Arc::new(Hypothesis::parse("mine.toml", text).expect("the formula can be read"));
+    let hypothesis = Arc::new(parse_hypothesis("mine.toml", text).expect("the formula can be read"));
     let mine = Mine { hypothesis, values: values.to_vec(), voltage_per_speed: 1.0 };
     EffectSet { mine: Some(mine), ..EffectSet::default() }
 }
@@ -50,7 +50,7 @@ fn asked(effects: &EffectSet, mine: Option<&str>) -> (Diagnosis, Details, f64) {
     let made = traces(design, motor.parameters(FLAVOUR), effects);
     let options = Options {
         motor: Some(motor.parameters(FLAVOUR)),
-        mine: mine.map(|text| Arc::new(Hypothesis::parse("mine.toml", text).expect("the formula can be read"))),
+        mine: mine.map(|text| Arc::new(parse_hypothesis("mine.toml", text).expect("the formula can be read"))),
         ..Options::default()
     };
     let (d, details) = diagnose(&[measurement(design, &made)], &options, &|_, _| {}).expect("there is something");

@@ -24,6 +24,10 @@
 //! threshold_duty = 0.05
 //! ```
 
+mod mine;
+
+pub use mine::parse_hypothesis;
+
 use super::effects::{EffectError, EffectInfo, EffectSet, info};
 use super::hypothesis::{self, Mine};
 use super::parameters::{Flavour, ParameterError, Parameters, SPECS};
@@ -140,15 +144,15 @@ fn shipped() -> String {
 }
 
 /// A motor file being read: what an error needs to point.
-pub(super) struct Reader<'a> {
-    pub(super) file: &'a str,
-    pub(super) text: &'a str,
+struct Reader<'a> {
+    file: &'a str,
+    text: &'a str,
 }
 
 type Table<'a> = Spanned<DeTable<'a>>;
 
 impl<'a> Reader<'a> {
-    pub(super) fn root(&self) -> Result<Table<'a>, MotorError> {
+    fn root(&self) -> Result<Table<'a>, MotorError> {
         DeTable::parse(self.text).map_err(|error| MotorError::Syntax {
             file: self.file.into(),
             line: self.line(error.span().map_or(0, |span| span.start)),
@@ -160,11 +164,11 @@ impl<'a> Reader<'a> {
         self.text.as_bytes().iter().take(offset).filter(|&&b| b == b'\n').count() + 1
     }
 
-    pub(super) fn key(&self, key: impl Into<String>, offset: usize, problem: impl Into<String>) -> MotorError {
+    fn key(&self, key: impl Into<String>, offset: usize, problem: impl Into<String>) -> MotorError {
         MotorError::Key { file: self.file.into(), line: self.line(offset), key: key.into(), problem: problem.into() }
     }
 
-    pub(super) fn number(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<f64, MotorError> {
+    fn number(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<f64, MotorError> {
         let text = match value.get_ref() {
             DeValue::Float(number) => number.as_str().to_owned(),
             DeValue::Integer(number) if number.radix() == 10 => number.as_str().to_owned(),
@@ -178,14 +182,14 @@ impl<'a> Reader<'a> {
         }
     }
 
-    pub(super) fn string(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<String, MotorError> {
+    fn string(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<String, MotorError> {
         match value.get_ref() {
             DeValue::String(text) => Ok(text.to_string()),
             other => Err(self.key(key, value.span().start, format!("must be a string, not {}", other.type_str()))),
         }
     }
 
-    pub(super) fn known(&self, prefix: &str, table: &DeTable<'_>, known: &[&str]) -> Result<(), MotorError> {
+    fn known(&self, prefix: &str, table: &DeTable<'_>, known: &[&str]) -> Result<(), MotorError> {
         for key in table.keys() {
             if !known.contains(&key.get_ref().as_ref()) {
                 let name = format!("{prefix}{}", key.get_ref());

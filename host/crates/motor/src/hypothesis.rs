@@ -13,18 +13,14 @@
 //!
 //! A diagnosis fits the numbers; the file that it saves holds the `value` of each, and simulates.
 
-mod file;
-#[cfg(test)]
-mod tests;
-
 use exmex::{Express, FlatEx, FloatOpsFactory, MatchLiteral, literal_matcher_from_pattern};
-use serde::Serialize;
+use serde::ser::{Serialize, SerializeMap, Serializer};
 use std::sync::Arc;
 
 /// The name of a user's own effect, in files and in answers.
 pub const NAME: &str = "mine";
 
-/// What a formula may hang on, in the order of [`Now::array`].
+/// What a formula may hang on, in the order of the fields of [`Now`].
 pub const VARIABLES: [(&str, &str); 7] = [
     ("duty", "commanded duty of the running PWM period"),
     ("time_s", "time since the drive began"),
@@ -73,7 +69,7 @@ impl Now {
 }
 
 /// What a change is a change of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ActsOn {
     /// The speed that the wave draws the rotor to, relative.
@@ -87,12 +83,13 @@ pub enum ActsOn {
 }
 
 impl ActsOn {
-    const ALL: [(&str, Self); 4] =
+    /// All of them, by the words of a file.
+    pub const ALL: [(&str, Self); 4] =
         [("speed", Self::Speed), ("torque", Self::Torque), ("braking", Self::Braking), ("duty", Self::Duty)];
 }
 
 /// What a number of the formula is.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// It makes the size of the effect: 0 is none, and this much is plausible.
@@ -115,7 +112,8 @@ pub struct Number {
 }
 
 impl Number {
-    fn is_size(&self) -> bool {
+    /// Whether it makes the size.
+    pub fn is_size(&self) -> bool {
         matches!(self.role, Role::Typical(_))
     }
 }
@@ -328,6 +326,106 @@ impl Mine {
             self.hypothesis.change(&self.values, now)
         } else {
             0.0
+        }
+    }
+}
+
+/// As a file has it.
+impl Serialize for Mine {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(serde::Serialize)]
+        struct Row {
+            value: f64,
+            #[serde(flatten)]
+            role: Role,
+            min: f64,
+            max: f64,
+        }
+        let h = &self.hypothesis;
+        let rows = h.numbers.iter().zip(&self.values);
+        let numbers: std::collections::BTreeMap<&str, Row> =
+            rows.map(|(n, v)| (n.name.as_str(), Row { value: *v, role: n.role, min: n.min, max: n.max })).collect();
+        let mut map = serializer.serialize_map(None)?;
+        if !h.says.is_empty() {
+            map.serialize_entry("says", &h.says)?;
+        }
+        map.serialize_entry("acts_on", &h.acts_on)?;
+        map.serialize_entry("change", &h.change)?;
+        if h.acts_on == ActsOn::Speed {
+            map.serialize_entry("voltage_per_speed", &self.voltage_per_speed)?;
+        }
+        map.serialize_entry("numbers", &numbers)?;
+        map.end()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn size(name: &str) -> Number {
+        Number { name: name.to_owned(), role: Role::Typical(0.1), min: -0.5, max: 0.5 }
+    }
+
+    fn read(change: &str) -> Result<Hypothesis, String> {
+        Hypothesis::new("", ActsOn::Speed, change, vec![size("a")])
+    }
+
+    #[test]
+    fn a_formula_is_what_it_says() {
+        let tau = Number { name: "tau".into(), role: Role::Start(1.0), min: 0.1, max: 20.0 };
+        // The number of the form is named first, and still stands behind the size.
+        let h = Hypothesis::new("", ActsOn::Speed, "-a*duty*(1 - exp(-time_s/tau))", vec![tau, size("a")]).unwrap();
+        let now = Now { duty: 0.5, time_s: 2.0, ..Now::default() };
+        assert!((h.change(&[0.2, 4.0], &now) + 0.2 * 0.5 * (1.0 - (-0.5_f64).exp())).abs() < 1e-15);
+        assert_eq!(h.hangs_on().collect::<Vec<_>>(), ["duty", "time_s"]);
+        assert!(!h.is_steady() && h.is_there(&[0.2, 4.0]) && !h.is_there(&[0.0, 4.0]));
+    }
+
+    /// Fails if a sign is taken before a power, as the parser does of itself.
+    #[test]
+    fn signs_stand_before_powers_as_everybody_writes_them() {
+        let now = Now { duty: 0.6, ..Now::default() };
+        for (change, expected) in [
+            ("a*exp(-duty^2)", (-0.36_f64).exp()),
+            ("-a*exp(-(duty/0.3)^2)", -(-4.0_f64).exp()),
+            ("- a*(duty - 2)^2", -1.96),
+            ("a*1e-1*(-duty + 1)", 0.04),
+        ] {
+            let change_now = read(change).expect(change).change(&[1.0], &now);
+            assert!((change_now - expected).abs() < 1e-12, "{change}: {change_now}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_effect_is_refused_in_words() {
+        for (change, why) in [
+            ("a*", "cannot be read"),
+            ("a*volume", "`volume`"),
+            ("duty", "does not hold"),
+            ("a + 0.1", "must be 0"),
+            ("a/duty", "no number"),
+            ("a*exp(1000*speed_rad_s)", "no number"),
+            ("a*-duty", "parentheses"),
+        ] {
+            let said = read(change).expect_err(change);
+            assert!(said.contains(why), "{change}: {said}");
+        }
+        let long = format!("a*({})", ["1"; 400].join("+"));
+        assert!(read(&long).unwrap_err().contains("characters"));
+        let without_size = Number { role: Role::Start(0.1), min: 0.05, ..size("a") };
+        assert!(Hypothesis::new("", ActsOn::Speed, "a", vec![without_size]).unwrap_err().contains("no size"));
+        assert!(Hypothesis::new("", ActsOn::Duty, "a*time_s", vec![size("a")]).unwrap_err().contains("time_s"));
+        assert!(Hypothesis::new("", ActsOn::Speed, "duty*a", vec![size("duty"), size("a")]).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_panics(text in "[a-z0-9_+*/^(){}. \\-]{0,60}", other in "\\PC{0,40}") {
+            let _ = read(&text);
+            let _ = read(&other);
+            let _ = read(&format!("a*({text})"));
         }
     }
 }

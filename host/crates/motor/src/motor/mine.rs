@@ -1,0 +1,159 @@
+//! An effect of the user's own in a file ([`crate::hypothesis`]): read with the key and the line of what will not do.
+
+use super::{MotorError, Reader};
+use crate::hypothesis::{ActsOn, Hypothesis, Mine, NAME, Number, Role};
+use std::sync::Arc;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// The hypothesis in a file of one `[effects.mine]`; `file` is its name in messages.
+///
+/// # Errors
+/// Names the key and the line of the first thing that will not do.
+pub fn parse_hypothesis(file: &str, text: &str) -> Result<Hypothesis, MotorError> {
+    let reader = Reader { file, text };
+    let root = reader.root()?;
+    reader.known("", root.get_ref(), &["effects"])?;
+    let effects = root.get_ref().get("effects").and_then(|e| e.get_ref().as_table());
+    let Some(effects) = effects else {
+        return Err(reader.key("effects", 0, "is missing: [effects.mine] is what is asked for"));
+    };
+    reader.known("effects.", effects, &[NAME])?;
+    match effects.get(NAME) {
+        Some(value) => Ok(reader.hypothesis(value)?.0),
+        None => Err(reader.key("effects.mine", 0, "is missing")),
+    }
+}
+
+impl Reader<'_> {
+    /// A user's own effect with the values of its numbers, which a motor's file has to give.
+    pub(super) fn mine(&self, value: &Spanned<DeValue<'_>>) -> Result<Mine, MotorError> {
+        let (hypothesis, values, voltage_per_speed) = self.hypothesis(value)?;
+        let numbers = hypothesis.numbers.iter().zip(values);
+        let values = numbers.map(|(n, v)| {
+            v.ok_or_else(|| {
+                let problem =
+                    "is missing: without it this is a hypothesis, which `twum diagnose FOLDER --effect FILE` fits";
+                self.key(format!("effects.mine.numbers.{}.value", n.name), value.span().start, problem)
+            })
+        });
+        let values = values.collect::<Result<Vec<_>, _>>()?;
+        Ok(Mine { hypothesis: Arc::new(hypothesis), values, voltage_per_speed })
+    }
+
+    /// The hypothesis, the values of its numbers where they are given, and the voltage for a change of the speed.
+    fn hypothesis(&self, value: &Spanned<DeValue<'_>>) -> Result<(Hypothesis, Vec<Option<f64>>, f64), MotorError> {
+        const KEY: &str = "effects.mine";
+        let at = value.span().start;
+        let Some(table) = value.get_ref().as_table() else { return Err(self.key(KEY, at, "must be a table")) };
+        self.known("effects.mine.", table, &["says", "acts_on", "change", "voltage_per_speed", "numbers"])?;
+        let text = |key: &str| table.get(key).map(|v| self.string(&format!("{KEY}.{key}"), v)).transpose();
+        let need = |key: &str| text(key)?.ok_or_else(|| self.key(format!("{KEY}.{key}"), at, "is missing"));
+        let acts_on = need("acts_on")?;
+        let Some((_, acts_on)) = ActsOn::ALL.iter().find(|a| a.0 == acts_on) else {
+            let known = ActsOn::ALL.map(|a| a.0).join(", ");
+            return Err(self.key(
+                format!("{KEY}.acts_on"),
+                at,
+                format!("is `{acts_on}`; an effect acts on one of {known}"),
+            ));
+        };
+        let numbers = table.get("numbers").and_then(|n| n.get_ref().as_table());
+        let numbers = numbers.ok_or_else(|| self.key(format!("{KEY}.numbers"), at, "must be a table of numbers"))?;
+        let mut read = Vec::new();
+        for (name, row) in numbers {
+            read.push(self.number_of_formula(name.get_ref(), row)?);
+        }
+        read.sort_by_key(|(n, _)| !n.is_size());
+        let (numbers, values) = read.into_iter().unzip();
+        let voltage = table.get("voltage_per_speed").map(|v| self.number(&format!("{KEY}.voltage_per_speed"), v));
+        let hypothesis = Hypothesis::new(&text("says")?.unwrap_or_default(), *acts_on, &need("change")?, numbers)
+            .map_err(|problem| self.key(KEY, at, problem))?;
+        Ok((hypothesis, values, voltage.transpose()?.unwrap_or(1.0)))
+    }
+
+    fn number_of_formula(&self, name: &str, row: &Spanned<DeValue<'_>>) -> Result<(Number, Option<f64>), MotorError> {
+        let key = format!("effects.mine.numbers.{name}");
+        let at = row.span().start;
+        let Some(table): Option<&DeTable<'_>> = row.get_ref().as_table() else {
+            return Err(self.key(key, at, "must be a table with min, max, and typical or start"));
+        };
+        self.known(&format!("{key}."), table, &["typical", "start", "min", "max", "value"])?;
+        let optional = |of: &str| table.get(of).map(|v| self.number(&format!("{key}.{of}"), v)).transpose();
+        let need = |of: &str| optional(of)?.ok_or_else(|| self.key(format!("{key}.{of}"), at, "is missing"));
+        let role = match (optional("typical")?, optional("start")?) {
+            (Some(typical), None) => Role::Typical(typical),
+            (None, Some(start)) => Role::Start(start),
+            _ => {
+                return Err(self.key(
+                    key,
+                    at,
+                    "needs one of `typical`, if it makes the size, and `start`, if it makes the form",
+                ));
+            }
+        };
+        let (min, max, value) = (need("min")?, need("max")?, optional("value")?);
+        if value.is_some_and(|v| !(min..=max).contains(&v)) {
+            return Err(self.key(format!("{key}.value"), at, "is outside its bounds"));
+        }
+        Ok((Number { name: name.to_owned(), role, min, max }, value))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Motor;
+    use super::*;
+    use crate::effects::EffectSet;
+    use crate::motor_plant::{History, Solver};
+    use crate::parameters::Flavour;
+    use crate::plant::Direction;
+    use crate::simulate::{PlantModel, Program, simulate};
+
+    #[test]
+    fn a_file_says_where_it_is_wrong() {
+        let text = "[effects.mine]\nacts_on = \"speed\"\nchange = \"a\"\n[effects.mine.numbers]\na = { typical = 0.1, min = 0.2, max = 0.5 }\n";
+        let said = parse_hypothesis("mine.toml", text).unwrap_err().to_string();
+        assert!(said.starts_with("motor file mine.toml, line 1: `effects.mine`") && said.contains("bounds"), "{said}");
+        let text = text.replace("\"speed\"", "\"weather\"");
+        assert!(parse_hypothesis("mine.toml", &text).unwrap_err().to_string().contains("speed, torque, braking, duty"));
+        assert!(parse_hypothesis("mine.toml", "").is_err());
+    }
+
+    /// Fails if a motor that is written with an effect of one's own is not the one that is read, or does not do what the formula says.
+    #[test]
+    fn a_motor_with_ones_own_effect_is_written_read_and_turns() {
+        let text = "[effects.mine]\nacts_on = \"duty\"\nchange = \"-a*duty\"\n[effects.mine.numbers]\na = { typical = 0.1, min = 0.0, max = 0.5, value = 0.5 }\n";
+        let mut file = Motor::pcbmotor_30mm().to_toml().unwrap();
+        file.push_str(text);
+        let motor = Motor::parse("a.toml", &file).unwrap();
+        assert_eq!(Motor::parse("b.toml", &motor.to_toml().unwrap()).unwrap(), motor);
+        let flavour = Flavour::Physical;
+        let model = PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged };
+        let turned = |duty, effects: &EffectSet| {
+            simulate(&Program::constant(duty, Direction::Cw, 0.5, 0.5), &model, effects, History::default()).end_rad
+        };
+        let (half, own) = (turned(0.4, &EffectSet::default()), turned(0.8, &motor.effects()));
+        assert!((own / half - 1.0).abs() < 1e-9, "{own} rad, at half the duty {half}");
+        let without_value = file.replace(", value = 0.5", "");
+        assert!(Motor::parse("a.toml", &without_value).unwrap_err().to_string().contains("hypothesis"));
+    }
+
+    /// Fails if a change of the speed does not reach the motor, or reaches it where its formula is 0.
+    #[test]
+    fn a_change_of_the_speed_slows_the_motor_where_the_formula_says() {
+        let flavour = Flavour::Physical;
+        let parameters = Motor::pcbmotor_30mm().parameters(flavour);
+        let size = Number { name: "a".to_owned(), role: Role::Typical(0.1), min: -0.5, max: 0.5 };
+        let change = "-a*exp(-((duty - 0.5)/0.05)^2)";
+        let hypothesis = Arc::new(Hypothesis::new("", ActsOn::Speed, change, vec![size]).unwrap());
+        let mine = Mine { hypothesis, values: vec![0.3], voltage_per_speed: 1.0 };
+        let hidden = EffectSet { mine: Some(mine), ..EffectSet::default() };
+        let model = PlantModel::Motor { parameters, flavour, solver: Solver::Averaged };
+        let turned = |duty, effects: &EffectSet| {
+            simulate(&Program::constant(duty, Direction::Cw, 0.5, 0.5), &model, effects, History::default()).end_rad
+        };
+        let ratio = |duty| turned(duty, &hidden) / turned(duty, &EffectSet::default());
+        assert!((ratio(0.8) - 1.0).abs() < 1e-6 && ratio(0.5) < 0.8, "{} {}", ratio(0.8), ratio(0.5));
+    }
+}
