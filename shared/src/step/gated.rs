@@ -94,14 +94,7 @@ mod tests {
         let mut late = std::collections::VecDeque::from(std::vec![(0, Direction::Ccw); delay]);
         let mut off = 0.0;
         for tick in 0..seconds * 2_000 {
-            let target = reference.at(u64::from(tick) * 500);
-            let inputs = Inputs {
-                target: target.position,
-                target_rate: target.rate,
-                target_fraction: target.fraction,
-                position: motor.count,
-                edge_age_us: ((f64::from(tick) - motor.edge_at) * 500.0) as u16,
-            };
+            let inputs = motor.sees(&reference, tick);
             off += (89.0 * (1.257 * f64::from(tick) * 500e-6).sin() - motor.place).abs() * 0.9;
             let out = step(&config, &mut state, inputs);
             late.push_back((i32::from(out.on_steps > 0) * out.direction.sign(), out.direction));

@@ -1,6 +1,8 @@
 //! A motor for the tests of laws that have a model of one.
 
+use super::Inputs;
 use crate::Direction;
+use crate::reference::Reference;
 
 /// A rotor in doubles, in counts and ticks: it comes up to its speed within a tick or two, the wave takes a quarter of it back
 /// as it dies, and constant friction brakes the rest.
@@ -21,6 +23,18 @@ impl Motor {
     pub fn new(full: f64, braking: f64) -> Self {
         let braking = braking * 500e-6 * 500e-6;
         Self { full: full * 500e-6, braking, was: 0, push: 0.0, place: 1e-6, speed: 0.0, count: 0, edge_at: -1e9 }
+    }
+
+    /// What the step sees of it at a tick of a run after a reference.
+    pub fn sees(&self, reference: &Reference, tick: u32) -> Inputs {
+        let target = reference.at(u64::from(tick) * 500);
+        Inputs {
+            target: target.position,
+            target_rate: target.rate,
+            target_fraction: target.fraction,
+            position: self.count,
+            edge_age_us: ((f64::from(tick) - self.edge_at) * 500.0) as u16,
+        }
     }
 
     /// A tick under a drive, which ends at `now` ticks; counted in the sense of the drive's direction.

@@ -133,13 +133,7 @@ fn every_controller_tracks_the_thesis_sine() {
 /// not replay, or when the board takes a target that fixed point cannot let give way.
 #[test]
 fn a_guided_run_replays_and_falls_back_to_its_path_on_a_rotor_that_does_not_run_on() {
-    let guide = GuideSpec {
-        limit_counts: 60,
-        stiffness_nnm: 5_000,
-        damping_nnm_s: 2_500,
-        dead_band_nnm: 40_000,
-        braking_nnm: 197_000,
-    };
+    let guide = GuideSpec::EXAMPLE;
     let guided = |guide| Configuration::with_control(ConfigSpec { guide, ..ConfigSpec::PLANNED });
     let mut bench = Bench::armed(guided(guide));
     let reference = Reference::Sine { amplitude: 89, omega_urad_s: 1_257_000 };

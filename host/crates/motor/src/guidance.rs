@@ -57,14 +57,7 @@ mod tests {
     fn a_hand_is_believed_on_a_rotor_that_runs_on_and_on_no_other() {
         let motor = Motor::pcbmotor_30mm();
         let hand = Hand { torque_nm: 120e-6, frequency_hz: 0.0, from_s: 10.0, until_s: 25.0 };
-        let guide = GuideSpec {
-            limit_counts: 60,
-            stiffness_nnm: 5_000,
-            damping_nnm_s: 2_500,
-            dead_band_nnm: 40_000,
-            braking_nnm: 197_000,
-        };
-        let config = Config::try_from(ConfigSpec { guide, ..ConfigSpec::PLANNED }).unwrap();
+        let config = Config::try_from(ConfigSpec { guide: GuideSpec::EXAMPLE, ..ConfigSpec::PLANNED }).unwrap();
         let guided = Candidate { name: "guided".to_owned(), config, pwm_hz: 2_000.0 };
         let target = Target::Sine { amplitude: 89, omega_rad_s: 1.257 };
         let study = Study { motor: &motor, target, load: 0.0, hand: Some(hand), seconds: 25.0, draws: 4, seed: 5 };
