@@ -108,7 +108,7 @@ impl Rotor {
         } else {
             self.load = Load::REST;
         }
-        let by_way = guides || config.spec.has_pulse_period();
+        let by_way = config.spec.has_pulse_period();
         let delay = config.spec.delay_ticks;
         let drive = self.drive(delay);
         let before = self.place;
