@@ -106,6 +106,13 @@ pub struct Doing {
     pub elapsed_s: f64,
 }
 
+impl Doing {
+    /// What is not recorded, for as long as it takes.
+    pub const fn new(what: String) -> Self {
+        Self { what, recording: None, seconds: None, elapsed_s: 0.0 }
+    }
+}
+
 /// How something ended.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Ended {

@@ -207,8 +207,17 @@ impl Owner {
         taken
     }
 
-    fn is_free_again(&self) {
-        self.desk().is_busy = false;
+    /// Free before anybody is told of the end: whoever is told may ask for the next thing at once.
+    fn is_free_again(&self, last: Last) {
+        let mut desk = self.desk();
+        desk.is_busy = false;
+        if let Some(ended) = last.ended {
+            self.board.ended(ended);
+        }
+        if let Some((asked, answer)) = last.answer {
+            // Whoever asked may be gone.
+            let _ = asked.send(answer);
+        }
     }
 }
 
@@ -219,6 +228,13 @@ impl Aside {
     /// Whether it has to stop.
     pub fn is_stopped(&self) -> bool {
         self.0.desk().aside == Some(true)
+    }
+
+    /// Tells of the end, when the next thing can be asked for and nothing else has been.
+    pub fn ends(self, ended: Ended) {
+        let mut desk = self.0.desk();
+        desk.aside = None;
+        self.0.board.ended(ended);
     }
 }
 
@@ -231,6 +247,19 @@ impl Drop for Aside {
 struct Thread {
     owner: Arc<Owner>,
     bench: Box<dyn Bench>,
+}
+
+/// What is told when a command is over.
+#[derive(Default)]
+struct Last {
+    ended: Option<Ended>,
+    answer: Option<(oneshot::Sender<Answer>, Answer)>,
+}
+
+impl Last {
+    fn of(ended: Ended) -> Self {
+        Self { ended: Some(ended), answer: None }
+    }
 }
 
 /// Why a session ended.
@@ -278,9 +307,8 @@ impl Thread {
     fn wait_for_the_port(&self, why: &str) {
         let until = Instant::now() + RETRY;
         while Instant::now() < until && !self.owner.has_to_quit() {
-            if let Some((_, answer)) = self.owner.take() {
-                let _ = answer.send(Err(why.to_owned()));
-                self.owner.is_free_again();
+            if let Some((_, asked)) = self.owner.take() {
+                self.owner.is_free_again(Last { ended: None, answer: Some((asked, Err(why.to_owned()))) });
             }
             if self.owner.is_stopping() {
                 let unheard = format!(
@@ -316,13 +344,13 @@ impl Thread {
             if self.owner.has_to_quit() {
                 return Over::Quit;
             }
-            if let Some((command, answer)) = self.owner.take() {
+            if let Some((command, asked)) = self.owner.take() {
                 let is_loan = matches!(command, Command::Lend { .. });
-                let result = self.obey(session, command, answer);
-                self.owner.is_free_again();
+                let (last, result) = self.obey(session, command, asked);
                 if is_loan {
                     self.owner.holder.is_returned();
                 }
+                self.owner.is_free_again(last);
                 if let Err(error @ LinkError::Lost { .. }) = result {
                     return Over::Lost(error);
                 }
@@ -335,32 +363,31 @@ impl Thread {
         }
     }
 
-    /// Does what is asked. The error is the link's, for whoever has to open it again; the page has been told.
+    /// Does what is asked. The error is the link's, for whoever has to open it again; what is left to tell goes with it.
     fn obey(
         &mut self,
         session: &mut Session<OwnPort>,
         command: Command,
-        answer: oneshot::Sender<Answer>,
-    ) -> Result<(), LinkError> {
-        let board = Arc::clone(&self.owner.board);
-        let accept = |answer: oneshot::Sender<Answer>| _ = answer.send(Ok(json!({ "accepted": true })));
+        asked: oneshot::Sender<Answer>,
+    ) -> (Last, Result<(), LinkError>) {
         let result = match command {
             Command::Run { action, what, recording } => {
-                accept(answer);
-                return self.run(session, action, &what, recording);
+                let name = recording.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+                let seconds = match &action {
+                    Action::Speed(run) => Some(f64::from(run.duration_ms) * 1e-3),
+                    Action::Track(run) => Some(f64::from(run.duration_ms) * 1e-3),
+                    Action::Watch(length) => Some(length.as_secs_f64()),
+                    Action::Driver(_) => None,
+                };
+                self.begins(Doing { what: what.clone(), recording: name.clone(), seconds, elapsed_s: 0.0 }, asked);
+                return self.run(session, action, &what, recording, name);
             }
             Command::Series(task) => {
-                accept(answer);
+                self.begins(Doing::new(format!("experiment {}", task.name)), asked);
                 return self.series(session, *task);
             }
             Command::Align => {
-                accept(answer);
-                board.doing(Some(Doing {
-                    what: "aligning".to_owned(),
-                    recording: None,
-                    seconds: None,
-                    elapsed_s: 0.0,
-                }));
+                self.begins(Doing::new("aligning".to_owned()), asked);
                 let result = session.let_go().and_then(|()| align(session));
                 let words = result.as_ref().map_or_else(
                     |error| format!("not aligned: {error}"),
@@ -368,13 +395,11 @@ impl Thread {
                         "aligned: the rotor stands at the beginning of an encoder pulse, and counts as zero".to_owned()
                     },
                 );
-                board.ended(Ended { recording: None, ok: result.is_ok(), words });
-                return result;
+                return (Last::of(Ended { recording: None, ok: result.is_ok(), words }), result);
             }
             Command::Lend { stream, what } => {
-                let result = self.lend(session, &stream, &what);
-                let _ = answer.send(Ok(json!({ "returned": true })));
-                return result;
+                let (ended, result) = self.lend(session, &stream, &what);
+                return (Last { ended, answer: Some((asked, Ok(json!({ "returned": true })))) }, result);
             }
             Command::Arm => session.arm(),
             Command::Clear => session.stop(),
@@ -382,10 +407,16 @@ impl Thread {
         };
         let told = result.as_ref().map(|()| json!({ "done": true })).map_err(ToString::to_string);
         if let Err(words) = &told {
-            board.say(words.clone());
+            self.owner.board.say(words.clone());
         }
-        let _ = answer.send(told);
-        result
+        (Last { ended: None, answer: Some((asked, told)) }, result)
+    }
+
+    /// Shown before whoever asked is told: one that is told finds it.
+    fn begins(&self, doing: Doing, asked: oneshot::Sender<Answer>) {
+        self.owner.board.doing(Some(doing));
+        // Whoever asked may be gone.
+        let _ = asked.send(Ok(json!({ "accepted": true })));
     }
 
     fn run(
@@ -394,17 +425,9 @@ impl Thread {
         action: Action,
         what: &str,
         recording: PathBuf,
-    ) -> Result<(), LinkError> {
-        let board = Arc::clone(&self.owner.board);
-        let name = recording.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        let seconds = match &action {
-            Action::Speed(run) => Some(f64::from(run.duration_ms) * 1e-3),
-            Action::Track(run) => Some(f64::from(run.duration_ms) * 1e-3),
-            Action::Watch(length) => Some(length.as_secs_f64()),
-            Action::Driver(_) => None,
-        };
-        board.doing(Some(Doing { what: what.to_owned(), recording: name.clone(), seconds, elapsed_s: 0.0 }));
-        let used = board.configuration().unwrap_or(Configuration::with_control(ConfigSpec::DEFAULT));
+        name: Option<String>,
+    ) -> (Last, Result<(), LinkError>) {
+        let used = self.owner.board.configuration().unwrap_or(Configuration::with_control(ConfigSpec::DEFAULT));
         let path = recording.clone();
         let result = self.record(session, used, action, recording);
         let (ok, words) = match &result {
@@ -413,24 +436,24 @@ impl Thread {
             Err(Failed::Other(words)) => (false, words.clone()),
         };
         let recording = name.filter(|_| path.exists());
-        board.ended(Ended { recording, ok, words: format!("{what}: {words}") });
+        let last = Last::of(Ended { recording, ok, words: format!("{what}: {words}") });
         match result {
-            Err(Failed::Link(error)) => Err(error),
-            _ => Ok(()),
+            Err(Failed::Link(error)) => (last, Err(error)),
+            _ => (last, Ok(())),
         }
     }
 
-    fn lend(&self, session: &mut Session<OwnPort>, stream: &UnixStream, what: &str) -> Result<(), LinkError> {
-        let board = &self.owner.board;
+    fn lend(
+        &self,
+        session: &mut Session<OwnPort>,
+        stream: &UnixStream,
+        what: &str,
+    ) -> (Option<Ended>, Result<(), LinkError>) {
         if relay::lent(stream).is_err() {
-            return Ok(());
+            return (None, Ok(()));
         }
-        board.doing(Some(Doing {
-            what: format!("{what}, from a terminal, which records it if anybody does"),
-            recording: None,
-            seconds: None,
-            elapsed_s: 0.0,
-        }));
+        let doing = Doing::new(format!("{what}, from a terminal, which records it if anybody does"));
+        self.owner.board.doing(Some(doing));
         let result = session.lend(stream, || self.owner.is_stopping());
         let (ok, how) = match &result {
             Ok(Returned::ByTheOther) => (true, "ended".to_owned()),
@@ -438,8 +461,8 @@ impl Thread {
             Ok(Returned::Behind) => (false, "it did not take what the board said, and has lost it; stopped".to_owned()),
             Err(error) => (false, error.to_string()),
         };
-        board.ended(Ended { recording: None, ok, words: format!("{what}, from a terminal: {how}") });
-        result.map(|_| ())
+        let ended = Ended { recording: None, ok, words: format!("{what}, from a terminal: {how}") };
+        (Some(ended), result.map(|_| ()))
     }
 
     /// Performs one run with a configuration, and records it.
@@ -460,7 +483,7 @@ impl Thread {
         Ok(perform(session, &experiment, Some(&mut reopen), |_| {})?)
     }
 
-    fn series(&mut self, session: &mut Session<OwnPort>, task: Task) -> Result<(), LinkError> {
+    fn series(&mut self, session: &mut Session<OwnPort>, task: Task) -> (Last, Result<(), LinkError>) {
         let board = Arc::clone(&self.owner.board);
         let own = board.configuration().unwrap_or(Configuration::with_control(ConfigSpec::DEFAULT));
         let ended = series::make(&task, &board, own, &mut |used, action, recording, pause| {
@@ -468,8 +491,7 @@ impl Thread {
             self.record(session, used, action, recording)
         });
         let restored = session.let_go().and_then(|()| session.configure(own));
-        board.ended(ended);
-        restored
+        (Last::of(ended), restored)
     }
 }
 

@@ -173,12 +173,7 @@ async fn run(State(app): State<Arc<App>>, Json(wanted): Json<Wanted>) -> Answer 
         command.stderr(Stdio::piped()).spawn()
     });
     let child = child.map_err(|error| format!("it cannot be begun: {error}"))?;
-    app.board.doing(Some(Doing {
-        what: format!("{}: instruments", what(&wanted.name)),
-        recording: None,
-        seconds: None,
-        elapsed_s: 0.0,
-    }));
+    app.board.doing(Some(Doing::new(format!("{}: instruments", what(&wanted.name)))));
     let [generator, _] = addresses;
     let (name, app) = (wanted.name, Arc::clone(&app));
     std::thread::spawn(move || follow(&app, child, &name, &generator, aside));
@@ -232,8 +227,7 @@ fn follow(app: &Arc<App>, mut child: Child, name: &str, generator: &str, aside: 
         Err(why) => format!("sweep into {name}: {last}; LOOK WHETHER THE GENERATOR IS OFF, it cannot be told: {why}"),
     };
     *app.sweeping.last.lock().expect("nothing panics while it holds the words") = Some((words.clone(), off.is_ok()));
-    app.board.ended(Ended { recording: None, ok: is_whole, words });
-    drop(aside);
+    aside.ends(Ended { recording: None, ok: is_whole, words });
 }
 
 /// Tells the generator once more, whatever became of the sweep.
