@@ -1,13 +1,14 @@
 //! A simulated board on a pseudo-terminal in real time, with what can go wrong between it and the host, and with eyes on the
 //! rotor that no link has.
 
-use serialport::{SerialPort, TTYPort};
 use std::collections::VecDeque;
+use std::fs::File;
 use std::io::{Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use twum_host::link::{Line, line};
 use twum_host::sim::{Board, Disturbance, FirstOrderMotor, Setup, SimulatedMotor};
 use twum_shared::Direction;
 use twum_shared::frame::{self, Header, MAX_ENCODED};
@@ -106,12 +107,7 @@ impl SimulatedMotor for Watched {
 
 impl Rig {
     pub fn start() -> Self {
-        let (mut master, mut slave) = TTYPort::pair().expect("a pseudo-terminal");
-        let port = slave.name().expect("a name");
-        slave.set_exclusive(false).unwrap();
-        let kept_open = std::fs::File::options().read(true).write(true).open(&port).unwrap();
-        drop(slave);
-        master.set_timeout(Duration::from_millis(1)).unwrap();
+        let Line { board: line, name: port, kept_open } = line().expect("a pseudo-terminal");
         let common = Arc::new(Mutex::new(Common::default()));
         let started = Instant::now();
         let (inner, watched, ends) = (common.clone(), common.clone(), Arc::new(AtomicBool::new(false)));
@@ -120,7 +116,7 @@ impl Rig {
         let thread = std::thread::spawn(move || {
             let motor = Watched { motor: FirstOrderMotor::default(), now_s: 0.0, common: inner.clone() };
             let board = Board::new(Setup { motor: Box::new(motor), ..Setup::default() });
-            Server::new(board, master, kept_open, started, inner).serve();
+            Server::new(board, line, kept_open, started, inner).serve();
         });
         Self { port, started, common, ends, threads: vec![thread, watcher] }
     }
@@ -166,9 +162,9 @@ impl Drop for Rig {
 
 struct Server {
     board: Board,
-    line: Option<TTYPort>,
-    /// The other end stays open, so that its name is nobody else's while a program may still look for it.
-    _kept_open: std::fs::File,
+    line: Option<File>,
+    /// After a pull too: its name is nobody else's while a program may still look for it.
+    _kept_open: File,
     started: Instant,
     common: Arc<Mutex<Common>>,
     backlog: Vec<u8>,
@@ -183,13 +179,7 @@ struct Server {
 }
 
 impl Server {
-    fn new(
-        board: Board,
-        line: TTYPort,
-        kept_open: std::fs::File,
-        started: Instant,
-        common: Arc<Mutex<Common>>,
-    ) -> Self {
+    fn new(board: Board, line: File, kept_open: File, started: Instant, common: Arc<Mutex<Common>>) -> Self {
         Self {
             board,
             line: Some(line),
