@@ -338,7 +338,10 @@ fn attempt(mover: Mover, event: Event, share: f64) -> Option<Came> {
     if !rig.wait_until(Duration::from_secs(15), |seen| seen.begun >= motion) {
         let about =
             |what: &str| std::fs::read_to_string(format!("/proc/{}/{what}", program.child.id())).unwrap_or_default();
-        let state = (about("wchan"), about("status").lines().nth(2).unwrap_or_default().to_owned());
+        let state = (
+            about("wchan"),
+            about("status").lines().find(|line| line.starts_with("State")).unwrap_or_default().to_owned(),
+        );
         let _ = program.child.kill();
         let output = program.child.wait_with_output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -457,7 +460,7 @@ fn whatever_ends_a_command_the_motor_is_off_and_nothing_starts_again() {
 /// `cargo test --release -p twum-host --test safety_matrix -- --ignored --nocapture ten_moments`; the simulated boards have to keep
 /// up with real time.
 #[test]
-#[ignore = "half an hour; docs/reliability.md gives the command"]
+#[ignore = "seven minutes; docs/reliability.md gives the command"]
 fn whatever_ends_a_command_the_motor_is_off_at_ten_moments() {
     document::record("safety-matrix", &matrix(&every(&MOVERS, &EVENTS), &moments(10)));
 }

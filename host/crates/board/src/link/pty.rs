@@ -1,5 +1,6 @@
 use crate::sim::{Board, Setup};
-use rustix::fs::{OFlags, fcntl_setfl};
+use rustix::fs::{Mode, OFlags, fcntl_setfl, open};
+use rustix::io::{FdFlags, fcntl_setfd};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use std::fs::File;
@@ -35,9 +36,11 @@ pub fn line() -> io::Result<Line> {
     settings.make_raw();
     tcsetattr(&board, OptionalActions::Now, &settings)?;
     fcntl_setfl(&board, OFlags::NONBLOCK)?;
-    // A plain file, without the lock of a serial port, which would keep every host out.
-    let kept_open = File::options().read(true).write(true).open(&name)?;
-    Ok(Line { board: board.into(), name, kept_open })
+    // What the program starts may outlive it, and then nobody would be told that the line is gone.
+    fcntl_setfd(&board, FdFlags::CLOEXEC)?;
+    // A plain file, without the lock of a serial port, which would keep every host out; nobody's terminal.
+    let kept_open = open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+    Ok(Line { board: board.into(), name, kept_open: kept_open.into() })
 }
 
 /// Serves a simulated board in real time on a new pseudo-terminal until `stop` is set; `announce` is told its name.
