@@ -299,12 +299,11 @@ const WRITES: [&str; 9] = [
     ".persist",
 ];
 /// Who may use them, and why.
-const WRITERS_OF_THEIR_OWN: [(&str, &str); 5] = [
+const WRITERS_OF_THEIR_OWN: [(&str, &str); 4] = [
     ("files/output.rs", "the one writer"),
     ("record/store/writer.rs", "a recording keeps every frame when the program is killed"),
     ("instruments/sweep.rs", "a sweep keeps every frequency, and is gone on with"),
     ("instruments/scpi.rs", "a device, no file"),
-    ("board/link/pty.rs", "a device, no file"),
 ];
 /// Ways to open a file to read.
 const READS: [&str; 3] = ["File::open", "fs::read(", "fs::read_to_string("];
