@@ -201,6 +201,12 @@ impl Board {
         self.inner.lock().expect("nothing panics while it holds the state")
     }
 
+    /// While this lives nobody is told or shown anything.
+    #[cfg(test)]
+    pub fn held(&self) -> impl Sized {
+        self.lock()
+    }
+
     fn tell(&self) {
         self.changed.send_modify(|version| *version += 1);
     }

@@ -138,7 +138,7 @@ impl Owner {
         let mut desk = self.desk();
         self.is_free(&desk)?;
         desk.aside = Some(false);
-        Ok(Aside(Arc::clone(self)))
+        Ok(Aside { owner: Arc::clone(self), ended: None })
     }
 
     /// Whether something beside the port goes on.
@@ -207,7 +207,14 @@ impl Owner {
         taken
     }
 
-    /// Free before anybody is told of the end: whoever is told may ask for the next thing at once.
+    /// Shown before whoever asked is told: one that is told finds it.
+    fn begins(&self, doing: Doing, asked: oneshot::Sender<Answer>) {
+        self.board.doing(Some(doing));
+        // Whoever asked may be gone.
+        let _ = asked.send(Ok(json!({ "accepted": true })));
+    }
+
+    /// Free and told as one: whoever is told of the end may ask for the next thing at once.
     fn is_free_again(&self, last: Last) {
         let mut desk = self.desk();
         desk.is_busy = false;
@@ -222,25 +229,31 @@ impl Owner {
 }
 
 /// Something beside the port that goes on alone, until it is dropped.
-pub struct Aside(Arc<Owner>);
+pub struct Aside {
+    owner: Arc<Owner>,
+    ended: Option<Ended>,
+}
 
 impl Aside {
     /// Whether it has to stop.
     pub fn is_stopped(&self) -> bool {
-        self.0.desk().aside == Some(true)
+        self.owner.desk().aside == Some(true)
     }
 
     /// Tells of the end, when the next thing can be asked for and nothing else has been.
-    pub fn ends(self, ended: Ended) {
-        let mut desk = self.0.desk();
-        desk.aside = None;
-        self.0.board.ended(ended);
+    pub fn ends(mut self, ended: Ended) {
+        self.ended = Some(ended);
     }
 }
 
 impl Drop for Aside {
     fn drop(&mut self) {
-        self.0.desk().aside = None;
+        // One step: what is set aside next must not be ended by this.
+        let mut desk = self.owner.desk();
+        desk.aside = None;
+        if let Some(ended) = self.ended.take() {
+            self.owner.board.ended(ended);
+        }
     }
 }
 
@@ -250,7 +263,6 @@ struct Thread {
 }
 
 /// What is told when a command is over.
-#[derive(Default)]
 struct Last {
     ended: Option<Ended>,
     answer: Option<(oneshot::Sender<Answer>, Answer)>,
@@ -372,22 +384,14 @@ impl Thread {
     ) -> (Last, Result<(), LinkError>) {
         let result = match command {
             Command::Run { action, what, recording } => {
-                let name = recording.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-                let seconds = match &action {
-                    Action::Speed(run) => Some(f64::from(run.duration_ms) * 1e-3),
-                    Action::Track(run) => Some(f64::from(run.duration_ms) * 1e-3),
-                    Action::Watch(length) => Some(length.as_secs_f64()),
-                    Action::Driver(_) => None,
-                };
-                self.begins(Doing { what: what.clone(), recording: name.clone(), seconds, elapsed_s: 0.0 }, asked);
-                return self.run(session, action, &what, recording, name);
+                return self.run(session, action, &what, recording, asked);
             }
             Command::Series(task) => {
-                self.begins(Doing::new(format!("experiment {}", task.name)), asked);
+                self.owner.begins(Doing::new(format!("experiment {}", task.name)), asked);
                 return self.series(session, *task);
             }
             Command::Align => {
-                self.begins(Doing::new("aligning".to_owned()), asked);
+                self.owner.begins(Doing::new("aligning".to_owned()), asked);
                 let result = session.let_go().and_then(|()| align(session));
                 let words = result.as_ref().map_or_else(
                     |error| format!("not aligned: {error}"),
@@ -412,21 +416,22 @@ impl Thread {
         (Last { ended: None, answer: Some((asked, told)) }, result)
     }
 
-    /// Shown before whoever asked is told: one that is told finds it.
-    fn begins(&self, doing: Doing, asked: oneshot::Sender<Answer>) {
-        self.owner.board.doing(Some(doing));
-        // Whoever asked may be gone.
-        let _ = asked.send(Ok(json!({ "accepted": true })));
-    }
-
     fn run(
         &mut self,
         session: &mut Session<OwnPort>,
         action: Action,
         what: &str,
         recording: PathBuf,
-        name: Option<String>,
+        asked: oneshot::Sender<Answer>,
     ) -> (Last, Result<(), LinkError>) {
+        let name = recording.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let seconds = match &action {
+            Action::Speed(run) => Some(f64::from(run.duration_ms) * 1e-3),
+            Action::Track(run) => Some(f64::from(run.duration_ms) * 1e-3),
+            Action::Watch(length) => Some(length.as_secs_f64()),
+            Action::Driver(_) => None,
+        };
+        self.owner.begins(Doing { what: what.to_owned(), recording: name.clone(), seconds, elapsed_s: 0.0 }, asked);
         let used = self.owner.board.configuration().unwrap_or(Configuration::with_control(ConfigSpec::DEFAULT));
         let path = recording.clone();
         let result = self.record(session, used, action, recording);
@@ -515,4 +520,74 @@ fn words_of(outcome: &Outcome) -> (bool, String) {
     };
     let ok = matches!(outcome.run.map(|run| run.end), Some(RunEnd::Completed)) && tally.is_lossless();
     (ok, format!("{end}; {} frames recorded, {lost}", outcome.recorded))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::TryLockError;
+
+    /// Longer than a thread takes to come to a lock.
+    const COMES_TO_IT: Duration = Duration::from_millis(100);
+
+    fn owner() -> Arc<Owner> {
+        let stop = Box::leak(Box::new(AtomicBool::new(false)));
+        let board = Arc::new(Board::new("a port"));
+        Arc::new(Owner { desk: Mutex::default(), board, holder: Arc::default(), stop, quit: AtomicBool::new(false) })
+    }
+
+    fn ended(words: &str) -> Ended {
+        Ended { recording: None, ok: true, words: words.to_owned() }
+    }
+
+    /// What `ends` tells is told under the desk's lock: while the board's is held, nobody can come between.
+    fn is_told_and_free_as_one(owner: &Arc<Owner>, ends: impl FnOnce() + Send + 'static) {
+        let held = owner.board.held();
+        let telling = std::thread::spawn(ends);
+        std::thread::sleep(COMES_TO_IT);
+        assert!(matches!(owner.desk.try_lock(), Err(TryLockError::WouldBlock)), "free before the end is told");
+        drop(held);
+        telling.join().unwrap();
+        assert_eq!(owner.board.state().last, Some(ended("over")));
+    }
+
+    /// Fails when the end is told before the next thing can be asked for, or after somebody may have asked for it.
+    #[test]
+    fn an_end_is_told_when_the_next_thing_can_be_asked_for() {
+        let owner = owner();
+        let first = owner.ask(Command::Align).unwrap();
+        let (_, asked) = owner.take().unwrap();
+        assert!(owner.ask(Command::Align).is_err(), "it is busy");
+        let same = Arc::clone(&owner);
+        is_told_and_free_as_one(&owner, move || {
+            same.is_free_again(Last { ended: Some(ended("over")), answer: Some((asked, Ok(json!(true)))) });
+        });
+        assert_eq!(first.blocking_recv().unwrap(), Ok(json!(true)));
+
+        let aside = owner.set_aside().unwrap();
+        assert!(owner.set_aside().is_err(), "one thing at a time");
+        is_told_and_free_as_one(&owner, move || aside.ends(ended("over")));
+
+        // What is set aside next is not ended by what was before it: it can be stopped.
+        let next = owner.set_aside().unwrap();
+        let _answer = owner.stop();
+        assert!(next.is_stopped());
+    }
+
+    /// Fails when who asked is told "accepted" before the page shows what goes on.
+    #[test]
+    fn what_is_accepted_is_shown_first() {
+        let owner = owner();
+        let mut answer = owner.ask(Command::Align).unwrap();
+        let (_, asked) = owner.take().unwrap();
+        let held = owner.board.held();
+        let same = Arc::clone(&owner);
+        let beginning = std::thread::spawn(move || same.begins(Doing::new("aligning".to_owned()), asked));
+        std::thread::sleep(COMES_TO_IT);
+        assert!(answer.try_recv().is_err(), "accepted before it is shown");
+        drop(held);
+        beginning.join().unwrap();
+        assert!(answer.try_recv().unwrap().is_ok());
+        assert_eq!(owner.board.state().doing.unwrap().what, "aligning");
+    }
 }

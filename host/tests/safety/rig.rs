@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use twum_host::link::{Line, line};
+use twum_host::link::PseudoTerminal;
 use twum_host::sim::{Board, Disturbance, FirstOrderMotor, Setup, SimulatedMotor};
 use twum_shared::Direction;
 use twum_shared::frame::{self, Header, MAX_ENCODED};
@@ -107,7 +107,7 @@ impl SimulatedMotor for Watched {
 
 impl Rig {
     pub fn start() -> Self {
-        let Line { board: line, name: port, kept_open } = line().expect("a pseudo-terminal");
+        let PseudoTerminal { board: line, name: port, kept_open } = PseudoTerminal::open().expect("a pseudo-terminal");
         let common = Arc::new(Mutex::new(Common::default()));
         let started = Instant::now();
         let (inner, watched, ends) = (common.clone(), common.clone(), Arc::new(AtomicBool::new(false)));

@@ -59,22 +59,6 @@ fn a_run_is_made_recorded_and_stopped_and_the_recording_holds_the_new_gains() {
     assert_eq!(status, 200);
 }
 
-/// Refused now and then where the server said "done" before it was free.
-#[test]
-fn whoever_is_told_of_the_end_can_ask_for_the_next_thing_at_once() {
-    let served = Served::sim();
-    served.until("the board answers", |state| state["connected"] == true);
-    let page = Page::open(&served);
-    page.take();
-    for change in 0..100 {
-        page.does("/api/configuration", Some(json!({ "toml": format!("[control]\nkp = {}", 30 + change % 7) })));
-    }
-    for _ in 0..5 {
-        page.does("/api/align", None);
-        served.until("it is over", |state| state["doing"].is_null());
-    }
-}
-
 /// What the Runs page reads.
 fn read_the_run(served: &Served, name: &str) {
     let before = std::fs::read(served.runs().join(name)).unwrap();

@@ -17,7 +17,7 @@ mod simulated;
 mod stopping;
 
 pub use loan::{Borrowed, Returned};
-pub use pty::{Line, line, serve};
+pub use pty::{PseudoTerminal, serve};
 pub use serial::{BAUD, SerialLink};
 pub use session::{Received, RunReport, Session, Tally, is_motor_held};
 pub use simulated::SimulatedLink;

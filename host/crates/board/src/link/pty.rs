@@ -14,7 +14,7 @@ const SLICE: Duration = Duration::from_millis(2);
 const BACKLOG_BYTES: usize = 1 << 18;
 
 /// A pseudo-terminal in the place of a board's serial line.
-pub struct Line {
+pub struct PseudoTerminal {
     /// The board's end. It waits for nobody: a board goes on while its host reads nothing, or is gone.
     pub board: File,
     /// What the host opens.
@@ -23,24 +23,26 @@ pub struct Line {
     pub kept_open: File,
 }
 
-/// A new one.
-///
-/// # Errors
-/// When the system gives none.
-pub fn line() -> io::Result<Line> {
-    let board = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
-    grantpt(&board)?;
-    unlockpt(&board)?;
-    let name = ptsname(&board, Vec::new())?.into_string().map_err(io::Error::other)?;
-    let mut settings = tcgetattr(&board)?;
-    settings.make_raw();
-    tcsetattr(&board, OptionalActions::Now, &settings)?;
-    fcntl_setfl(&board, OFlags::NONBLOCK)?;
-    // What the program starts may outlive it, and then nobody would be told that the line is gone.
-    fcntl_setfd(&board, FdFlags::CLOEXEC)?;
-    // A plain file, without the lock of a serial port, which would keep every host out; nobody's terminal.
-    let kept_open = open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
-    Ok(Line { board: board.into(), name, kept_open: kept_open.into() })
+impl PseudoTerminal {
+    /// A new one.
+    ///
+    /// # Errors
+    /// When the system gives none.
+    pub fn open() -> io::Result<Self> {
+        let board = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
+        grantpt(&board)?;
+        unlockpt(&board)?;
+        let name = ptsname(&board, Vec::new())?.into_string().map_err(io::Error::other)?;
+        let mut settings = tcgetattr(&board)?;
+        settings.make_raw();
+        tcsetattr(&board, OptionalActions::Now, &settings)?;
+        fcntl_setfl(&board, OFlags::NONBLOCK)?;
+        // What the program starts may outlive it, and then nobody would be told that the line is gone.
+        fcntl_setfd(&board, FdFlags::CLOEXEC)?;
+        // A plain file, without the lock of a serial port, which would keep every host out; nobody's terminal.
+        let kept_open = open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+        Ok(Self { board: board.into(), name, kept_open: kept_open.into() })
+    }
 }
 
 /// Serves a simulated board in real time on a new pseudo-terminal until `stop` is set; `announce` is told its name.
@@ -48,7 +50,7 @@ pub fn line() -> io::Result<Line> {
 /// # Errors
 /// When the system gives no pseudo-terminal.
 pub fn serve(setup: Setup, stop: &AtomicBool, announce: impl FnOnce(&str)) -> io::Result<()> {
-    let mut line = line()?;
+    let mut line = PseudoTerminal::open()?;
     announce(&line.name);
 
     let mut board = Board::new(setup);
@@ -111,7 +113,10 @@ mod tests {
         // Each is answered by more than forty bytes; a pseudo-terminal holds 64 KiB at most.
         std::thread::spawn(move || {
             for _ in 0..200 {
-                host.write_all(&hello).unwrap();
+                if host.write_all(&hello).is_err() {
+                    // The board has been ended, and with it its line.
+                    return;
+                }
                 std::thread::sleep(Duration::from_millis(4));
             }
         });
