@@ -224,14 +224,18 @@ impl View<'_> {
                 conflicts: if rival { self.rivals(effect) } else { Vec::new() },
                 next_experiment: e.next_experiment.to_owned(),
                 share: 0.0,
-                note: match (likely, struck.iter().any(|(e, _)| *e == effect)) {
-                    (_, true) => "likely, but on runs it was not fitted to it does not help for certain",
+                note: match (likely && !rival, struck.iter().any(|(e, _)| *e == effect)) {
+                    (_, true) => "likely, but on runs it was not fitted to it does not help for certain".to_owned(),
                     (true, _) if judged.withheld => {
-                        "explains part of it, but more lives where no effect acts: not the cause"
+                        "explains part of it, but more lives where no effect acts: not the cause".to_owned()
                     }
-                    _ => "",
-                }
-                .to_owned(),
+                    (true, _) => format!(
+                        "not certain: its probability is {:.2}, and a name takes {NAMED}; to decide: {}",
+                        inclusion(judged, effect),
+                        e.next_experiment
+                    ),
+                    _ => String::new(),
+                },
             }
         };
         effects.into_iter().map(one).collect()
