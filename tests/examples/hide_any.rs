@@ -1,5 +1,5 @@
 //! Writes one measurement folder of a generator, and its truth beside it as `DIR.truth.json`:
-//! `hide_any --generator a|b|c|d --seed N [--kind null|single|pair|outside|removed|closed] [--effect NAME]... [--rho R]
+//! `hide_any --generator a|b|c|d|e --seed N [--kind null|single|pair|outside|removed|closed] [--effect NAME]... [--rho R]
 //! [--clean] DIR`.
 //!
 //! `--clean` writes the same data set with nothing hidden: same motor, same experiment, same noise.

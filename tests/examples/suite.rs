@@ -1,7 +1,7 @@
 //! The suite: data sets of the generators through the `twum` command, as a user calls it, and the tables of what came out.
 //!
 //! ```text
-//! suite --generator a|b|c|d [--kind KIND]... [--count N] [--from SEED] [--shard I/N] [--jobs J] [--twum PATH] [--twins N] --out DIR
+//! suite --generator a|b|c|d|e [--kind KIND]... [--count N] [--from SEED] [--shard I/N] [--jobs J] [--twum PATH] [--twins N] --out DIR
 //! suite --table DIR... [--list] [--write-docs [FILE]]
 //! ```
 //!

@@ -7,10 +7,10 @@ pub mod runner;
 pub mod tables;
 
 use crate::truth::{Kind, Made, Request};
-use crate::{contact, first, profile, rotor};
+use crate::{contact, envelope, first, profile, rotor};
 
 /// The generators the suite knows.
-pub const GENERATORS: [&str; 4] = ["a", "b", "c", "d"];
+pub const GENERATORS: [&str; 5] = ["a", "b", "c", "d", "e"];
 
 /// One data set to be made and diagnosed.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,6 +55,8 @@ pub fn make(generator: &str, seed: u64, request: &Request, clean: bool) -> Resul
         ("c", true) => profile::make::without(seed, request),
         ("d", false) => contact::make(seed, request),
         ("d", true) => contact::make::without(seed, request),
+        ("e", false) => envelope::make(seed, request),
+        ("e", true) => envelope::make::without(seed, request),
         (other, _) => Err(format!("no generator {other}: one of {}", GENERATORS.join(", "))),
     }
 }
