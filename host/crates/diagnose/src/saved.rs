@@ -150,6 +150,7 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
         }
         "direction-asymmetry" => vec![
             ("gain", convert.voltage(of(P::AsymSpeed), &[1.0, -1.0]).ok_or(NOT_REACHED)?),
+            ("friction", of(P::AsymFriction)),
             ("braking", of(P::AsymBrake)),
         ],
         "supply-sag" if of(P::Sag) == 0.0 => {

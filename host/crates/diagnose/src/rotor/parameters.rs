@@ -55,7 +55,9 @@ pub enum P {
     SlipExtra,
     /// `direction-asymmetry`: relative speed difference, half of cw minus ccw.
     AsymSpeed,
-    /// `direction-asymmetry`: relative braking difference, half of cw minus ccw.
+    /// `direction-asymmetry`: relative difference of the friction, under the wave and without it, half of cw minus ccw.
+    AsymFriction,
+    /// `direction-asymmetry`: relative difference of the braking without a wave alone, half of cw minus ccw.
     AsymBrake,
     /// `clock-error`: relative error of the recorder's clock.
     ClockError,
@@ -115,7 +117,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 50] = [
+    pub const ALL: [P; 51] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -138,6 +140,7 @@ impl P {
         P::Saturation,
         P::SlipExtra,
         P::AsymSpeed,
+        P::AsymFriction,
         P::AsymBrake,
         P::ClockError,
         P::EdgeOffset,

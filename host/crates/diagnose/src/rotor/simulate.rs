@@ -338,7 +338,9 @@ impl<'a> Simulation<'a> {
             }
             let (modulation, mut external) = self.over_angle();
             external -= p.get(P::Viscous) * self.speed + self.stribeck(on, sign);
+            let friction = 1.0 + sign * p.get(P::AsymFriction);
             let brake = brake
+                * friction
                 * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0)
                 * (1.0 + self.mine(ActsOn::Braking, sign)).max(0.0);
             let mut target = 0.0;
@@ -347,7 +349,8 @@ impl<'a> Simulation<'a> {
                 let mine = (1.0 + self.mine(ActsOn::Speed, sign)).max(0.0);
                 target = sign * self.wave.full * self.gain(sign, modulation, end) * mine * crest;
                 self.on_time += end - self.t;
-                let torque = (1.0 + p.get(P::RunoutTorque) * modulation) * (1.0 + self.mine(ActsOn::Torque, sign));
+                let torque =
+                    friction * (1.0 + p.get(P::RunoutTorque) * modulation) * (1.0 + self.mine(ActsOn::Torque, sign));
                 acceleration *= torque.max(0.01);
             }
             if p.get(P::Sag) != 0.0 {
