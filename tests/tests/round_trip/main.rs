@@ -369,11 +369,7 @@ fn what_was_fitted_is_what_is_saved() {
         ("start-delay", &[(P::StartDelay, 2e-3), (P::DelayRest, 0.01)], &[("delay_s", 2e-3), ("rest_s", 0.01)]),
         ("high-duty-saturation", &[(P::FlatTop, 0.2)], &[("flat_top", 0.2)]),
         ("contact-stiffening", &[(P::SlipExtra, 0.6)], &[("slip_band_excess", 0.6), ("exponent", 1.0)]),
-        (
-            "direction-asymmetry",
-            &[(P::AsymFriction, 0.2), (P::AsymBrake, 0.4)],
-            &[("friction", 0.2), ("braking", 0.4)],
-        ),
+        ("direction-asymmetry", &[(P::AsymFriction, 0.2), (P::AsymBrake, 0.4)], &[("friction", 0.2), ("braking", 0.4)]),
         ("clock-error", &[(P::ClockError, 0.01), (P::ClockDrift, 0.002)], &[("error", 0.01), ("drift_per_s", 0.002)]),
         ("reversal-miscount", &[(P::Miscount, 1.0), (P::MiscountDrift, -2.0)], &[("counts", 1.0), ("drift", -2.0)]),
         ("unequal-edges", &[(P::EdgeOffset, 0.1)], &[("offset", -0.1)]),

@@ -103,7 +103,6 @@ impl Standing {
             clear_lead: ALIKE,
             most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|e| matches!(ground.effects[e].coordinate, Coordinate::Start | Coordinate::Angle),
-            log_prior_of_spread: &|k, tau| ground.level.log_prior_of(k, tau),
         };
         let mut sets = visited.to_vec();
         let mut struck: Vec<(usize, f64)> = Vec::new();

@@ -144,6 +144,8 @@ pub struct Weighed {
     pub variance: f64,
     /// Spreads of the gains.
     pub taus: Taus,
+    /// Log prior of each of these spreads.
+    pub belief: Taus,
     /// Gain of each run.
     pub gains: Vec<f64>,
     /// Expected coefficient of each common column.
@@ -308,6 +310,7 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
             left,
             variance,
             taus,
+            belief: level.log_priors(&taus),
             gains: joint.gains.as_slice().to_vec(),
             common: commons,
             powers: powers.clone(),

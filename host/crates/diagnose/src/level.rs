@@ -1,5 +1,6 @@
 //! What the gains of whole runs scatter by: by chance, with the duty, the direction, both, and the order of the runs.
 
+use super::evidence::FORM_ERROR;
 use super::problem::Problem;
 use nalgebra::{Cholesky, DMatrix, Dyn};
 
@@ -61,10 +62,10 @@ impl Level {
         Self { kernels: [DMatrix::identity(runs, runs), none(), none(), none(), none()], medians }
     }
 
-    /// The same where effects have moved the gains by `shift` (root mean square): a twentieth of that is form.
+    /// The same where effects have moved the gains by `shift` (root mean square): of its square as much is form as of any error's.
     pub fn beside_a_shift(&self, shift: f64) -> Self {
         let mut medians = self.medians;
-        medians[1] = medians[1].hypot(0.05 * shift.min(0.5));
+        medians[1] = medians[1].hypot(FORM_ERROR.sqrt() * shift.min(0.5));
         Self { kernels: self.kernels.clone(), medians }
     }
 
@@ -83,14 +84,14 @@ impl Level {
         c
     }
 
-    /// Log prior of the spreads.
-    pub fn log_prior(&self, taus: &Taus) -> f64 {
-        (0..5).map(|k| self.log_prior_of(k, taus[k])).sum()
+    /// Log prior of each spread.
+    pub fn log_priors(&self, taus: &Taus) -> Taus {
+        std::array::from_fn(|k| -0.5 * ((taus[k] / self.medians[k]).ln() / LOG_SDS[k]).powi(2))
     }
 
-    /// Log prior of one spread.
-    pub fn log_prior_of(&self, which: usize, tau: f64) -> f64 {
-        -0.5 * ((tau / self.medians[which]).ln() / LOG_SDS[which]).powi(2)
+    /// Log prior of all spreads.
+    pub fn log_prior(&self, taus: &Taus) -> f64 {
+        self.log_priors(taus).iter().sum()
     }
 
     /// The spreads that make the gains likeliest, from `start`.

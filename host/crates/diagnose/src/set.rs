@@ -52,6 +52,7 @@ impl Set {
             score: self.score,
             left: self.weighed.left,
             taus: self.weighed.taus,
+            belief: self.weighed.belief,
             terms: self.terms.clone(),
             courses: self.courses.clone(),
         }

@@ -42,6 +42,8 @@ pub struct Visited {
     pub left: f64,
     /// Spreads of the gains.
     pub taus: Taus,
+    /// Log prior of each, beside what the effects have moved.
+    pub belief: Taus,
     /// Terms without physics that the data ask for beside it, strongest first, with the squared error that is then left.
     pub terms: Vec<(&'static str, f64)>,
     /// Share of the squared error left that a course of each run's own would take, by the term's name.
@@ -112,8 +114,6 @@ pub struct Background<'a> {
     pub most_of_a_course: f64,
     /// Whether all that an effect does, it does within a run.
     pub within_runs: &'a dyn Fn(usize) -> bool,
-    /// Log prior of one spread of the gains.
-    pub log_prior_of_spread: &'a dyn Fn(usize, f64) -> f64,
 }
 
 /// The visited sets with their probabilities.
@@ -177,13 +177,12 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
             }
         }
     }
-    let spread = background.log_prior_of_spread;
     let causes: Vec<usize> = named.iter().chain(one_of.iter().flatten()).copied().collect();
     let lives_in = left_without_cause(&sets[0], root, &causes, background);
     let beside: f64 = lives_in.iter().map(|l| l.1).sum();
     // A cause that makes the runs differ by more than they did is none.
-    let taus = sets[0].taus;
-    let worse = (1..NAMES.len()).any(|k| spread(k, taus[k]) < -LARGEST_SPREAD && taus[k] > root.taus[k]);
+    let Visited { taus, belief, .. } = &sets[0];
+    let worse = (1..NAMES.len()).any(|k| belief[k] < -LARGEST_SPREAD && taus[k] > root.taus[k]);
     let withheld = beside > MOST_BESIDE || worse && !named.is_empty();
     if withheld {
         named.clear();
@@ -240,7 +239,7 @@ fn left_without_cause(
         before = *left;
     }
     for (k, name) in NAMES.iter().enumerate() {
-        if (background.log_prior_of_spread)(k, best.taus[k]) < -LARGEST_SPREAD && best.taus[k] > 0.01 {
+        if best.belief[k] < -LARGEST_SPREAD && best.taus[k] > 0.01 {
             lives_in.push((name, 0.0));
         }
     }
@@ -263,7 +262,15 @@ mod tests {
     use super::*;
 
     fn set(effects: &[usize], score: f64, left: f64) -> Visited {
-        Visited { key: effects.to_vec(), score, left, taus: [0.01; 5], terms: Vec::new(), courses: Vec::new() }
+        Visited {
+            key: effects.to_vec(),
+            score,
+            left,
+            taus: [0.01; 5],
+            belief: [0.0; 5],
+            terms: Vec::new(),
+            courses: Vec::new(),
+        }
     }
 
     /// Effects 0 and 1 look alike, and 2 and 3; what is even acts within runs.
@@ -274,7 +281,6 @@ mod tests {
             clear_lead: ALIKE,
             most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|e| e % 2 == 0,
-            log_prior_of_spread: &|_, _| 0.0,
         };
         judge(sets, sets.iter().find(|s| s.key.is_empty()).expect("there is a root"), &background)
     }

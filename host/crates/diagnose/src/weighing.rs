@@ -67,6 +67,7 @@ impl Ground<'_> {
             left: f64::INFINITY,
             variance: start.variance,
             taus: start.taus,
+            belief: [0.0; 5],
             gains: vec![0.0; self.problem.runs.len()],
             common: Vec::new(),
             powers: Vec::new(),

@@ -109,7 +109,6 @@ impl Standing {
             clear_lead: if one_pass { f64::INFINITY } else { CLEAR_LEAD },
             most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|_| true,
-            log_prior_of_spread: &|k, tau| ground.level.log_prior_of(k, tau),
         };
         let mut sets = visited.to_vec();
         let mut struck = Vec::new();

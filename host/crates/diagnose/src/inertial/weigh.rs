@@ -169,6 +169,7 @@ pub fn weigh_plant(
         left: f64::INFINITY,
         variance: start.variance,
         taus: start.taus,
+        belief: [0.0; 5],
         gains: vec![0.0; data.runs.len()],
         common: Vec::new(),
         powers: Vec::new(),
