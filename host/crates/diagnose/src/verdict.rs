@@ -317,6 +317,18 @@ mod tests {
         assert_eq!(of(2, 0.9 * ALIKE).named, [0]);
     }
 
+    /// Fails if gains that scatter beyond belief are passed over, or are held against the belief of another set than the best.
+    #[test]
+    fn gains_that_scatter_over_the_duty_are_unknown_where_the_effects_have_not_moved_them() {
+        let lives_in = |belief: f64| {
+            let mut best = set(&[], 0.0, 9.0);
+            (best.taus[1], best.belief[1]) = (0.04, belief);
+            judged(&[best]).lives_in
+        };
+        assert_eq!(lives_in(-1.1 * LARGEST_SPREAD), [("duty", 0.0)]);
+        assert_eq!(lives_in(-0.9 * LARGEST_SPREAD), []);
+    }
+
     /// Fails if a name stands beside a course of each run's own that is as large as what it explains, where both lie within the runs.
     #[test]
     fn a_course_of_its_own_in_each_run_is_another_cause() {

@@ -57,10 +57,14 @@ mod tests {
     use super::*;
 
     fn angles(p: &Parameters, on_s: f64, half_sample_s: f64, times: &[f64]) -> Vec<f64> {
+        angles_towards(1.0, p, on_s, half_sample_s, times)
+    }
+
+    fn angles_towards(direction: f64, p: &Parameters, on_s: f64, half_sample_s: f64, times: &[f64]) -> Vec<f64> {
         // One PWM period of 20 ms with the drive on at its end, then none.
         let schedule = Schedule {
             periods: vec![Period { start: 0.0, end: 0.02, duty: on_s / 0.02 }],
-            directions: vec![(0.0, 1.0)],
+            directions: vec![(0.0, direction)],
         };
         let angles = vec![0.0; times.len()];
         let input = RunInput {
@@ -109,6 +113,22 @@ mod tests {
         }
         let without = angles(&p.with(P::WaveTime, 0.0), 1e-3, 0.0, &[0.05])[0];
         assert!(without < 0.9 * stepped(&p, 1e-3), "the effect is there to be seen: {without}");
+    }
+
+    /// Fails if a friction that differs between the directions does not act under the wave and without it, or acts in one direction alone.
+    #[test]
+    fn a_friction_that_differs_between_the_directions_is_another_friction_in_each() {
+        let of = |friction: f64| Parameters::new(3.57, 1000.0 * friction, 300.0 * friction, 0.3, 0.02);
+        let asymmetric = of(1.0).with(P::AsymFriction, 0.3);
+        let times = [0.013, 0.016, 0.02, 0.022, 0.04];
+        for (direction, friction) in [(1.0, 1.3), (-1.0, 0.7)] {
+            let ours = angles_towards(direction, &asymmetric, 10e-3, 0.0, &times);
+            let reference = angles_towards(direction, &of(friction), 10e-3, 0.0, &times);
+            let plain = angles_towards(direction, &of(1.0), 10e-3, 0.0, &times);
+            for ((a, b), c) in ours.iter().zip(reference).zip(plain) {
+                assert!((a - b).abs() < 1e-9 && (a - c).abs() > 1e-4, "{direction}: {a}, {b}, without {c}");
+            }
+        }
     }
 
     /// Fails if an edge is held against the angle in the middle of its sampling period.
