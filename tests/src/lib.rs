@@ -34,3 +34,4 @@ pub mod suite;
 pub mod trace;
 pub mod tracking;
 pub mod truth;
+pub mod twins;

@@ -6,8 +6,8 @@ use super::loops;
 use super::motor::Motor;
 use super::scene::{LEAST_RHO, Scene, View};
 use crate::profile::random::Dice;
-use crate::suite::judge::twins;
 use crate::truth::{Kind, Made, Request};
+use crate::twins::twins;
 
 /// Motors and benches drawn until one shows what is wanted.
 const DRAWS: u64 = 50;

@@ -1,6 +1,5 @@
 //! A motor: its stator, its contact and its rotor, drawn round the thesis's 30 mm motor.
 
-use super::stator::steady_surface;
 use crate::profile::random::Dice;
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -111,11 +110,6 @@ impl Motor {
             _ => m.viscous += 0.3,
         }
         m
-    }
-
-    /// Push on the modes at which the wave's surface is as fast as [`Self::full`].
-    pub fn push(&self) -> f64 {
-        1.0 / steady_surface(self).max(0.05)
     }
 
     /// Detuning beyond its own at which the wave is weaker by the share `less`.

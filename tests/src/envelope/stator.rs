@@ -67,7 +67,7 @@ impl Stator {
             decay: [Phasor::default(); 2],
             split: motor.split,
             step: dt / motor.wave_s,
-            push: motor.push(),
+            push: push(motor),
             tuning,
         };
         new.set(tuning);
@@ -111,6 +111,11 @@ impl Stator {
         }
         [(a.re * b.im - a.im * b.re) / height, height]
     }
+}
+
+/// Push on the modes at which the wave's surface is as fast as the motor's full speed.
+fn push(motor: &Motor) -> f64 {
+    1.0 / steady_surface(motor).max(0.05)
 }
 
 /// Speed of the surface that a push of 1 makes in the end.

@@ -4,27 +4,6 @@ use crate::truth::{Hidden, Kind, Truth};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// Effects that the same data cannot tell apart in general: with one out of the library, the other stands for it.
-pub const TWINS: [[&str; 2]; 12] = [
-    ["preload-runout", "encoder-eccentricity"],
-    ["dead-zone", "start-delay"],
-    ["dead-zone", "high-duty-saturation"],
-    ["dead-zone", "duty-quantisation"],
-    ["start-delay", "stribeck-friction"],
-    ["start-delay", "contact-stiffening"],
-    ["stribeck-friction", "contact-stiffening"],
-    ["stribeck-friction", "dead-zone"],
-    ["supply-sag", "high-duty-saturation"],
-    ["supply-sag", "resonance-heating"],
-    ["resonance-heating", "run-in-wear"],
-    ["reversal-miscount", "backlash"],
-];
-
-/// Whether two effects are twins.
-pub fn twins(a: &str, b: &str) -> bool {
-    TWINS.iter().any(|t| t.contains(&a) && t.contains(&b))
-}
-
 /// What came out for one data set: a line of a results file.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Outcome {

@@ -1,7 +1,8 @@
 //! The tables of the suite, in Markdown.
 
-use super::judge::{self, Outcome, twins};
+use super::judge::{self, Outcome};
 use crate::truth::Kind;
+use crate::twins::twins;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 

@@ -10,7 +10,7 @@
 //! (2019) 1113; the power of a run's own coefficients by expectation–maximisation (Dempster, Laird & Rubin 1977).
 
 use super::design::RunDesign;
-use super::level::{Level, Taus};
+use super::level::{FORM_ERROR, Level, Taus};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 use std::ops::AddAssign;
@@ -19,8 +19,6 @@ use std::ops::AddAssign;
 const INDEPENDENT: f64 = 200.0;
 /// The same for each run, where there are many: a run has a gain and up to six own coefficients to say something of.
 const INDEPENDENT_A_RUN: f64 = 8.0;
-/// Share of the squared error without effects below which no form is trusted: effects do not have the library's forms exactly.
-pub const FORM_ERROR: f64 = 0.06;
 /// Share of the speed below which no equation of the rotor is believed: the one of the search and the averaged model of the stator
 /// differ by 0.1 to 0.2 % of it where nothing is hidden.
 const MODEL_FLOOR: f64 = 0.005;

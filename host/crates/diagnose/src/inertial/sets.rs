@@ -1,6 +1,7 @@
 //! Sets of effects of an ordinary motor: what is free in them, their refit, and what they weigh.
 
-use super::super::evidence::{FORM_ERROR, Weighed, independent};
+use super::super::evidence::{Weighed, independent};
+use super::super::level::FORM_ERROR;
 use super::super::level::Level;
 use super::super::verdict::Course;
 use super::super::verdict::Visited;
