@@ -164,8 +164,8 @@ fn a_motor_file_that_is_far_off_does_not_move_the_numbers() {
 /// twins may be suspected, no more.
 #[test]
 fn a_cause_that_is_not_in_the_library_lends_its_data_to_no_other() {
-    for name in ["direction-asymmetry", "high-duty-saturation"] {
-        let sealed = Sealed::new(Design::two_frequencies(), 3001);
+    for (name, design) in [("direction-asymmetry", small()), ("high-duty-saturation", Design::two_frequencies())] {
+        let sealed = Sealed::new(design, 3001);
         let mut hidden = Hidden::draw(name, &mut ChaCha8Rng::seed_from_u64(3001));
         sealed.scale_to(&mut hidden, 1.0);
         let options = Options { without: vec![name.to_owned()], ..Options::default() };
