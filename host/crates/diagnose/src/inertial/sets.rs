@@ -1,8 +1,7 @@
 //! Sets of effects of an ordinary motor: what is free in them, their refit, and what they weigh.
 
 use super::super::evidence::{Weighed, independent};
-use super::super::level::FORM_ERROR;
-use super::super::level::Level;
+use super::super::level::{FORM_ERROR, Level};
 use super::super::verdict::Course;
 use super::super::verdict::Visited;
 use super::super::weighing::{EFFECT_COST, SAME_COORDINATE};
