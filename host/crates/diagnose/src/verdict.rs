@@ -320,13 +320,15 @@ mod tests {
     /// Fails if gains that scatter beyond belief are passed over, or are held against the belief of another set than the best.
     #[test]
     fn gains_that_scatter_over_the_duty_are_unknown_where_the_effects_have_not_moved_them() {
-        let lives_in = |belief: f64| {
-            let mut best = set(&[], 0.0, 9.0);
-            (best.taus[1], best.belief[1]) = (0.04, belief);
-            judged(&[best]).lives_in
+        let lives_in = |beliefs: [f64; 2]| {
+            let [mut best, mut root] = [set(&[0], 20.0, 5.0), set(&[], 0.0, 9.0)];
+            for (set, belief) in [&mut best, &mut root].into_iter().zip(beliefs) {
+                (set.taus[1], set.belief[1]) = (0.04, belief * LARGEST_SPREAD);
+            }
+            judged(&[best, root]).lives_in
         };
-        assert_eq!(lives_in(-1.1 * LARGEST_SPREAD), [("duty", 0.0)]);
-        assert_eq!(lives_in(-0.9 * LARGEST_SPREAD), []);
+        assert_eq!(lives_in([-1.1, -0.9]), [("duty", 0.0)]);
+        assert_eq!(lives_in([-0.9, -1.1]), []);
     }
 
     /// Fails if a name stands beside a course of each run's own that is as large as what it explains, where both lie within the runs.
