@@ -2,8 +2,7 @@
 
 use super::super::evidence::{Weighed, independent};
 use super::super::level::{FORM_ERROR, Level};
-use super::super::verdict::Course;
-use super::super::verdict::Visited;
+use super::super::verdict::{Course, Visited};
 use super::super::weighing::{EFFECT_COST, SAME_COORDINATE};
 use super::angle::Ripple;
 use super::data::Data;
