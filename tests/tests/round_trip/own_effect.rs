@@ -63,24 +63,30 @@ fn asked(effects: &EffectSet, mine: Option<&str>) -> (Diagnosis, Details, f64) {
     (d, details, difference(&made, &replayed))
 }
 
+fn found_saved_and_repeated(text: &str, values: &[f64], number: &str) {
+    let effects = hidden(text, values);
+    let (d, _, off) = asked(&effects, Some(text));
+    assert_eq!(d.named(), ["mine"], "{number}: {}", twum_host::diagnose::answer::text(&d));
+    let found = &d.effects[0].parameters[number];
+    // Of a hidden voltage the speed shows less.
+    let size = values[0] * if number == "depth" { speed_per_voltage() } else { 1.0 };
+    assert!((found.value / size - 1.0).abs() < 0.1, "{number}: {found:?}, hidden {size}");
+    assert!(off < super::REPEATED, "the saved model is {off} off");
+    let (without, ..) = asked(&effects, None);
+    assert!(without.extended.rmse_speed_rpm > d.extended.rmse_speed_rpm, "the library has what was to be new to it");
+}
+
 /// Fails if the formula is not searched for, acts otherwise in the search than in the motor model, or is lost when it is saved.
 #[test]
 fn a_formula_of_ones_own_is_found_saved_and_repeats_the_data() {
-    for (text, values, number) in [(SWING, &[0.1, 0.65][..], "depth"), (LOPSIDED, &[0.2], "loss")] {
-        let effects = hidden(text, values);
-        let (d, _, off) = asked(&effects, Some(text));
-        assert_eq!(d.named(), ["mine"], "{number}: {}", twum_host::diagnose::answer::text(&d));
-        let found = &d.effects[0].parameters[number];
-        // Of a hidden voltage the speed shows less.
-        let size = values[0] * if number == "depth" { speed_per_voltage() } else { 1.0 };
-        assert!((found.value / size - 1.0).abs() < 0.1, "{number}: {found:?}, hidden {size}");
-        assert!(off < super::REPEATED, "the saved model is {off} off");
-        let (without, ..) = asked(&effects, None);
-        assert!(
-            without.extended.rmse_speed_rpm > d.extended.rmse_speed_rpm,
-            "the library has what was to be new to it"
-        );
-    }
+    found_saved_and_repeated(LOPSIDED, &[0.2], "loss");
+}
+
+/// The same of one over time, that has a rate beside its size.
+#[test]
+#[ignore = "some minutes more: .ci/run long"]
+fn long_a_formula_over_time_is_found_saved_and_repeats_the_data() {
+    found_saved_and_repeated(SWING, &[0.1, 0.65], "depth");
 }
 
 /// Fails if a formula that acts on nothing in the data is called a cause.
