@@ -26,6 +26,8 @@ pub(super) const TERM_COST: f64 = 10.0;
 pub(super) const FREE_FORM_COST: f64 = 20.0;
 /// Relative error of speed from which a wheel is no wheel: it would read motion out of its own error.
 const MOST_OF_A_WHEEL: f64 = 0.7;
+/// The same of a runout: the wave would stand still, or turn back, within every turn.
+const MOST_RUNOUT: f64 = 1.0;
 /// A plausible amplitude of what goes with the angle (relative, or rad), and its log deviation.
 const AMPLITUDE: (f64, f64) = (0.08, 1.2);
 
@@ -106,11 +108,12 @@ impl Ground<'_> {
     fn parts_admissible(&self, parts: &[Part], powers: &[f64]) -> bool {
         let mut at = 0;
         parts.iter().all(|part| {
-            let errs = |(p, power): (&Phased, &f64)| match p {
-                Phased::Eccentricity(h) => (h + 1) as f64 * (2.0 * power).sqrt(),
-                _ => 0.0,
+            let share = |(p, power): (&Phased, &f64)| match p {
+                Phased::Eccentricity(h) => (h + 1) as f64 * (2.0 * power).sqrt() / MOST_OF_A_WHEEL,
+                Phased::Runout(_) => (2.0 * power).sqrt() / MOST_RUNOUT,
+                Phased::Gravity => 0.0,
             };
-            let wheel: f64 = part.phased.iter().zip(powers.iter().skip(at)).map(errs).sum();
+            let of_the_speed: f64 = part.phased.iter().zip(powers.iter().skip(at)).map(share).sum();
             let own = &powers[at.min(powers.len())..(at + part.phased.len()).min(powers.len())];
             at += part.phased.len();
             let order = |p: &Phased| match p {
@@ -120,7 +123,7 @@ impl Ground<'_> {
             let (low, high) = part.phased.iter().zip(own).fold((0.0, 0.0), |(low, high), (p, power)| {
                 if order(p) < 2 { (low + power, high) } else { (low, high + power) }
             });
-            high <= low && wheel < MOST_OF_A_WHEEL
+            high <= low && of_the_speed < 1.0
         })
     }
 }
