@@ -19,9 +19,9 @@ pub const LEAST_RUNS: usize = 4;
 /// End of the start-up in s: of few runs it happens once or twice, and is neither fitted nor scored.
 const START_UP_S: f64 = 0.1;
 
-/// A parameter that moves by more than itself when runs are left out is one that these alone show. Beyond such a step nothing here is linear,
-/// and no error of theirs says anything.
-const LARGEST_STEP: f64 = 1.0;
+/// Runs whose speed the others foretell quite otherwise, by more than this share of it, alone show what the motor does there. So far from where
+/// it was fitted nothing here is linear, and no error of theirs says anything.
+const LARGEST_CHANGE: f64 = 0.5;
 
 /// What chance can do.
 pub struct Chance {
@@ -64,16 +64,36 @@ impl<'a> Scorer<'a> {
         let count = if runs.len() < 2 * FOLDS { runs.len() } else { FOLDS };
         let mut scorer = Self { ground, divisions: folds(&keys, count, seed), keys, alone: Vec::new() };
         if runs.len() >= LEAST_RUNS {
-            let (grams, free, _) = scorer.equations(root, &[]);
-            let fits = grams.fold_fits(&(0..free).collect::<Vec<_>>());
-            let far = fits.into_iter().filter(|(_, steps)| steps.iter().any(|step| step.abs() > LARGEST_STEP));
-            let alone: Vec<usize> = far.flat_map(|(fold, _)| fold.test).collect();
+            let alone = scorer.shown_alone(root);
             // Where most are, it is the motor that these runs do not determine, and leaving them out would hide it.
             if 2 * alone.len() < runs.len() {
                 scorer.alone = alone;
             }
         }
         scorer
+    }
+
+    /// Runs that would be quite another without what they say of the motor themselves.
+    fn shown_alone(&self, root: &Set) -> Vec<usize> {
+        let (grams, free, _) = self.equations(root, &[]);
+        let own: Vec<usize> = (0..free).collect();
+        let designs = self.ground.problem.design(&root.model, &columns_of(&self.ground.free(&root.model, &root.parts)));
+        let moved = |run: usize, steps: &[f64]| {
+            let d = &designs[run];
+            let rows = d.x.chunks_exact(d.columns);
+            let squares = rows.map(|row| {
+                let step: f64 = row.iter().zip(steps).map(|(x, b)| x * b).sum();
+                [step * step, row[0] * row[0]]
+            });
+            let [step, speed] = squares.fold([0.0; 2], |sum, s| [sum[0] + s[0], sum[1] + s[1]]);
+            (step / speed.max(1e-12)).sqrt()
+        };
+        let folds = grams.fold_fits(&own).into_iter();
+        let of = |(fold, steps): (Fold, nalgebra::DVector<f64>)| {
+            let quite_another = |run: &usize| moved(*run, steps.as_slice()) > LARGEST_CHANGE;
+            fold.test.into_iter().filter(quite_another).collect::<Vec<_>>()
+        };
+        folds.flat_map(of).collect()
     }
 
     /// Normal equations of a set with further columns, priors and noise in them, and the columns of its own parameters and pairs.
