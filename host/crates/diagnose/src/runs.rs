@@ -112,6 +112,7 @@ fn clock_instead(problem: &Problem, baseline: &Model, home: &Parameters, gaps: &
         let model = refitted(problem, &home.with(P::ClockError, error));
         let mut free = baseline_free(&model.parameters, home, false);
         let bounds = (-LARGEST_CLOCK_ERROR, LARGEST_CLOCK_ERROR);
+        free.retain(|own| own.parameter != P::ClockError);
         free.push(Free { parameter: P::ClockError, scale: 1e-3, bounds, prior: Prior::Flat });
         let noise = first_noise(problem, &model, rows as f64);
         refit(problem, model, &free, &[], noise, CLOCK_STEPS)
@@ -125,5 +126,7 @@ fn clock_instead(problem: &Problem, baseline: &Model, home: &Parameters, gaps: &
     let near = (-30..=30).filter(|k| *k != 0).map(|k| at(4e-4 * f64::from(k)));
     let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0)).map(|n| n.1);
     let clocks = clock_errors(problem).into_iter().chain(nearest).map(beside);
-    clocks.into_iter().find(|m| objective(problem, m, alike) < 1.05 * with_gaps)
+    let (misfit, clock) =
+        clocks.map(|model| (objective(problem, &model, alike), model)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (misfit < 1.05 * with_gaps).then_some(clock)
 }
