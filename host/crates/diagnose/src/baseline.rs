@@ -22,79 +22,79 @@ const OTHER_BAND: LogNormal = LogNormal { median: 0.02, log_sd: 1.2 };
 const CLOCK: f64 = 5e-5;
 /// Delay of a record behind the drive: a sample or two of a millisecond.
 const LATENCY_S: f64 = 2e-3;
-/// Where the fit of the dying wave's braking starts: twice the build-up time of the 30 mm motor's stator (2·Ms/Cs; thesis,
-/// A.4), in s.
-const RING_DOWN_S: f64 = 4.6e-4;
+/// Time in s in which another motor's wave builds up and dies away: from a tenth of a millisecond to some, by the quality of its resonance.
+const OTHER_WAVE_S: LogNormal = LogNormal { median: 7e-4, log_sd: 1.0 };
+/// A wave dies as it builds up: both are set by the stator's own damping. The contact changes that by a third.
+pub const DYING: LogNormal = LogNormal { median: 1.0, log_sd: 0.3 };
+/// Share of its height from which a wave carries a rotor that is pressed on it.
+pub const LIFT: LogNormal = LogNormal { median: 0.1, log_sd: 0.5 };
+/// Share of the drive's torque with which the wave holds back a rotor that is ahead of its crest: all of it by the textbook, less where the
+/// contact is open for part of a wave.
+pub const AHEAD: LogNormal = LogNormal { median: 0.7, log_sd: 1.0 };
 
-/// The motor's own parameters that are fitted; `home` are the motor file's, `closed` says that the runs are of closed loops.
+/// The motor's own parameters that are fitted, as they are believed to be of the motor file's motor or of another, whichever these are likelier
+/// of; `home` are the motor file's, `closed` says that the runs are of closed loops.
 pub fn baseline_free(model: &Parameters, home: &Parameters, closed: bool) -> Vec<Free> {
-    let speed = model.get(P::FreeSpeed);
-    let rate = |parameter: P, other: LogNormal| {
-        let listed = if home.get(parameter) > 0.0 { home.get(parameter) } else { home.get(P::OnAcceleration) };
-        Free {
-            parameter,
-            scale: model.get(parameter).max(1e-4 * listed),
-            bounds: (1e-5 * listed, 50.0 * listed),
-            prior: Prior::Either {
-                medians: [listed, other.median * listed],
-                log_sds: [SAME_MOTOR_LOG_SD, other.log_sd],
-                first: SAME_MOTOR,
-            },
-        }
-    };
-    let near = |parameter: P, listed: f64, log_sd: f64| Free {
+    let [listed, other] = [false, true].map(|other| own_parameters(model, home, closed, other));
+    let height = |free: &[Free]| free.iter().map(|f| f.prior.log_height(model.get(f.parameter))).sum::<f64>();
+    if SAME_MOTOR.ln() + height(&listed) >= (1.0 - SAME_MOTOR).ln() + height(&other) { listed } else { other }
+}
+
+/// What is free in the motor file's motor, or in any `other` of the kind: a motor is another one in all that the file says of it.
+fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bool) -> Vec<Free> {
+    let positive = |parameter: P, least: f64, bounds: (f64, f64), belief: LogNormal| Free {
         parameter,
-        scale: model.get(parameter).max(0.05 * listed),
-        bounds: (0.02 * listed, 50.0 * listed),
-        prior: Prior::log_normal(listed, log_sd),
+        scale: model.get(parameter).max(least),
+        bounds,
+        prior: Prior::LogNormal { median: belief.median, log_sd: belief.log_sd },
+    };
+    let either = |listed: f64, log_sd: f64, another: LogNormal| {
+        if other { another } else { LogNormal { median: listed, log_sd } }
+    };
+    let rate = |parameter: P, another: LogNormal| {
+        let listed = if home.get(parameter) > 0.0 { home.get(parameter) } else { home.get(P::OnAcceleration) };
+        let another = LogNormal { median: another.median * listed, ..another };
+        positive(parameter, 1e-4 * listed, (1e-5 * listed, 50.0 * listed), either(listed, SAME_MOTOR_LOG_SD, another))
+    };
+    let near = |parameter: P, listed: f64, belief: LogNormal| {
+        positive(parameter, 0.05 * listed, (0.02 * listed, 50.0 * listed), belief)
     };
     let off = if closed && home.get(P::OffDeceleration) > 0.0 {
         // That the motor brakes less than its file says is a finding there.
         let like = home.get(P::OffDeceleration) / home.get(P::OnAcceleration).max(1e-9);
-        near(P::OffDeceleration, (like * model.get(P::OnAcceleration)).max(1.0), SAME_MOTOR_LOG_SD)
+        let median = (like * model.get(P::OnAcceleration)).max(1.0);
+        near(P::OffDeceleration, median, LogNormal { median, log_sd: SAME_MOTOR_LOG_SD })
     } else {
         rate(P::OffDeceleration, OTHER_BRAKE)
     };
-    let mut all = vec![
+    let viscous = home.get(P::Viscous).max(0.05);
+    let band = home.get(P::SlipBand).max(1e-3);
+    let wave_s = if home.get(P::WaveTime) > 0.0 { home.get(P::WaveTime) } else { OTHER_WAVE_S.median };
+    let speed = model.get(P::FreeSpeed);
+    let normal = |parameter: P, sd: f64, most: f64| Free {
+        parameter,
+        scale: sd,
+        bounds: (home.get(parameter) - most * sd, home.get(parameter) + most * sd),
+        prior: Prior::Normal { centre: home.get(parameter), sd },
+    };
+    vec![
         Free { parameter: P::FreeSpeed, scale: speed, bounds: (0.02 * speed, 50.0 * speed), prior: Prior::Flat },
         rate(P::OnAcceleration, OTHER_MOTOR),
         off,
-        near(P::Viscous, home.get(P::Viscous).max(0.05), HARDLY_SEEN.log_sd),
-        contact(home.get(P::SlipBand).max(1e-3), model.get(P::SlipBand).max(1e-3)),
-        Free {
-            parameter: P::ClockError,
-            scale: CLOCK,
-            bounds: (-20.0 * CLOCK, 20.0 * CLOCK),
-            prior: Prior::Normal { centre: 0.0, sd: CLOCK },
-        },
-        Free {
-            parameter: P::Latency,
-            scale: LATENCY_S,
-            bounds: (-5.0 * LATENCY_S, 5.0 * LATENCY_S),
-            prior: Prior::Normal { centre: 0.0, sd: LATENCY_S },
-        },
-    ];
-    if home.get(P::WaveTime) > 0.0 {
-        all.push(near(P::WaveTime, home.get(P::WaveTime), HARDLY_SEEN.log_sd));
-    }
-    if model.get(P::RingDown) > 0.0 {
-        all.push(near(P::RingDown, RING_DOWN_S, HARDLY_SEEN.log_sd));
-    }
-    all
-}
-
-/// How softly the contact takes up the slip: as in the motor file (`listed`), or as in another motor.
-fn contact(listed: f64, scale: f64) -> Free {
-    Free {
-        parameter: P::SlipBand,
-        scale,
-        bounds: (1e-3, 1.0),
-        prior: Prior::Either {
-            medians: [listed, OTHER_BAND.median],
-            log_sds: [HARDLY_SEEN.log_sd, OTHER_BAND.log_sd],
-            first: SAME_MOTOR,
-        },
-    }
+        near(P::Viscous, viscous, LogNormal { median: viscous, ..HARDLY_SEEN }),
+        positive(P::SlipBand, 1e-3, (1e-3, 1.0), either(band, HARDLY_SEEN.log_sd, OTHER_BAND)),
+        normal(P::ClockError, CLOCK, 20.0),
+        normal(P::Latency, LATENCY_S, 5.0),
+        positive(
+            P::WaveTime,
+            0.05 * wave_s,
+            (0.02 * wave_s, 100.0 * wave_s),
+            either(wave_s, SAME_MOTOR_LOG_SD, OTHER_WAVE_S),
+        ),
+        positive(P::Dying, 0.05, (0.02, 50.0), DYING),
+        positive(P::Lift, 0.005, (0.007, 0.3), LIFT),
+        positive(P::Ahead, 0.05, (0.01, 5.0), AHEAD),
+    ]
 }
 
 /// Noise of a first look: nothing is known yet but the size of the residuals.
@@ -106,84 +106,82 @@ pub fn first_noise(problem: &Problem, model: &Model, independent: f64) -> Noise 
 /// Spread of the gains of runs before anything is known of it: about a per cent, and what effects over the runs do besides.
 const GAIN_SPREAD: f64 = 0.015;
 
-/// Times in s in which a rotor of the kind starts, and in which it stops without a wave: a clamped one as fast as it starts, one that
-/// coasts within seconds.
-const STARTS_S: [f64; 3] = [2e-4, 1e-3, 5e-3];
-const STOPS_S: [f64; 5] = [2e-4, 1e-3, 5e-3, 5e-2, 1.0];
-/// Starts of equal rates that are refitted for a few steps, how many in all, and of these to the end.
-const OF_A_KIND: usize = 2;
-/// Natural logarithm within which rates are equal: the next of [`STARTS_S`] is five times as slow.
-const ALIKE_LOG: f64 = 0.2;
-const LOOKED_AT: usize = 8;
-const FINISHED: usize = 2;
+/// Times in s in which a rotor of the kind starts, in which it stops without a wave (a clamped one as fast as it starts, one that coasts
+/// within seconds), and in which its wave builds up.
+const STARTS_S: [f64; 4] = [2e-4, 1e-3, 4e-3, 1.5e-2];
+const STOPS_S: [f64; 4] = [3e-4, 3e-3, 3e-2, 1.0];
+const WAVES_S: [f64; 2] = [2.5e-4, 1.5e-3];
 
-/// The baseline's own parameters, refitted from several starts: a rotor that is clamped, one that coasts, one that starts slowly
-/// and one that brakes in between lie in valleys of their own.
+/// Heats in which the starts are refitted to a few of the runs: how many of the best go on, and for how many steps. How well an unfitted rotor
+/// does says little of what it may become, so that every one has a step or two. The last heat is of all runs.
+const HEATS: [(usize, usize); 2] = [(usize::MAX, 2), (12, 6)];
+const FINAL: (usize, usize) = (4, 20);
+
+/// The baseline's own parameters, refitted from several starts: a rotor that is clamped, one that coasts, one that starts slowly, one that
+/// brakes in between, and one whose wave is slow lie in valleys of their own.
 pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) -> Model {
-    let value = |model: &Model, noise: Noise| {
-        let free = baseline_free(&model.parameters, home, false);
-        let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
-        objective(problem, model, noise) - 2.0 * noise.variance * prior
-    };
-    let sorted = |mut models: Vec<Model>| -> (Vec<Model>, Noise) {
+    let few = problem.thinned();
+    let sorted = |problem: &Problem, independent: f64, mut models: Vec<Model>| -> (Vec<Model>, Noise) {
         let noise = models
             .iter()
             .map(|m| first_noise(problem, m, independent))
             .min_by(|a, b| a.variance.total_cmp(&b.variance))
             .unwrap_or(Noise { variance: 1.0, gain_spread: GAIN_SPREAD });
-        models.sort_by(|a, b| value(a, noise).total_cmp(&value(b, noise)));
+        let value = |model: &Model| {
+            let free = baseline_free(&model.parameters, home, false);
+            let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
+            objective(problem, model, noise) - 2.0 * noise.variance * prior
+        };
+        let mut valued: Vec<(f64, Model)> = models.drain(..).map(|m| (value(&m), m)).collect();
+        valued.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let models = valued.into_iter().map(|v| v.1).collect();
         (models, noise)
     };
-    let (looked, noise) = sorted(valleys(problem, home, &problem.model(home.clone())));
-    let refitted = |models: Vec<Model>, noise: Noise, count: usize, steps: usize| -> Vec<Model> {
-        let fit = |m: Model| {
-            let free = baseline_free(&m.parameters, home, false);
-            refit(problem, m, &free, &[], noise, steps)
+    let heat =
+        |problem: &Problem, (models, noise): (Vec<Model>, Noise), (count, steps): (usize, usize)| -> Vec<Model> {
+            let fit = |m: Model| {
+                let free = baseline_free(&m.parameters, home, false);
+                refit(problem, m, &free, &[], noise, steps)
+            };
+            models.into_iter().take(count).map(fit).collect()
         };
-        models.into_iter().take(count).map(fit).collect()
-    };
-    let looked = of_every_kind(looked);
-    let (near, noise) = sorted(refitted(looked, noise, LOOKED_AT, 4));
-    let (best, _) = sorted(refitted(near, noise, FINISHED, 12));
+    let independent_of_few = independent * (few.windows() / problem.windows().max(1.0)).min(1.0);
+    let mut models = valleys(&few, home, &few.model(home.clone()));
+    for size in HEATS {
+        models = heat(&few, sorted(&few, independent_of_few, models), size);
+    }
+    let whole = models.into_iter().map(|m| problem.model(m.parameters)).collect();
+    let finished = heat(problem, sorted(problem, independent, whole), FINAL);
+    let (best, _) = sorted(problem, independent, finished);
     best.into_iter().next().unwrap_or_else(|| problem.model(home.clone()))
 }
 
-/// The best of the models that start equally fast, [`OF_A_KIND`] of each: how well an unfitted rotor does says little of what it may become.
-fn of_every_kind(models: Vec<Model>) -> Vec<Model> {
-    let mut kept: Vec<Model> = Vec::new();
-    for m in models {
-        let rate = |m: &Model| m.parameters.get(P::OnAcceleration);
-        let alike = kept.iter().filter(|k| (rate(k) / rate(&m)).ln().abs() < ALIKE_LOG).count();
-        if alike < OF_A_KIND {
-            kept.push(m);
-        }
-    }
-    kept
-}
-
-/// A model with its own rates, with the motor file's, and with those of rotors of each kind: clamped or coasting, quick or slow.
+/// A model with its own rotor, with the motor file's, and with those of rotors of each kind: clamped or coasting, quick or slow, under a quick
+/// wave or a slow one.
 pub fn valleys(problem: &Problem, home: &Parameters, model: &Model) -> Vec<Model> {
     let speed = home.get(P::FreeSpeed);
-    let with = |on: f64, off: f64| model.parameters.with(P::OnAcceleration, on).with(P::OffDeceleration, off);
-    let mut rotors = vec![
-        model.parameters.clone(),
-        with(home.get(P::OnAcceleration), home.get(P::OffDeceleration)).with(P::RingDown, home.get(P::RingDown)),
-    ];
+    let own = &model.parameters;
+    let mut rotors = vec![own.clone(), as_listed(own, home)];
     for on_s in STARTS_S {
         for off_s in STOPS_S {
-            let rotor = with(speed / on_s, speed / off_s);
-            // A contact that lets go at once, and one that the dying wave still brakes.
-            rotors.push(rotor.with(P::RingDown, 0.0));
-            if off_s >= 5e-3 {
-                rotors.push(rotor.with(P::RingDown, RING_DOWN_S));
+            for wave_s in WAVES_S {
+                let rotor = as_listed(own, home).with(P::OnAcceleration, speed / on_s);
+                rotors.push(rotor.with(P::OffDeceleration, speed / off_s).with(P::WaveTime, wave_s));
             }
         }
     }
     rotors.into_iter().map(|parameters| at_speed(problem, Model { parameters, terms: model.terms.clone() })).collect()
 }
 
+/// Parameters with the motor file's rotor.
+pub fn as_listed(own: &Parameters, home: &Parameters) -> Parameters {
+    let listed =
+        [P::OnAcceleration, P::OffDeceleration, P::Viscous, P::SlipBand, P::WaveTime, P::Dying, P::Lift, P::Ahead];
+    listed.into_iter().fold(own.clone(), |rotor, p| rotor.with(p, home.get(p)))
+}
+
 /// The model with the free speed that the runs have on average.
-fn at_speed(problem: &Problem, mut model: Model) -> Model {
+pub fn at_speed(problem: &Problem, mut model: Model) -> Model {
     for _ in 0..2 {
         let (mut gg, mut gy) = (0.0, 0.0);
         for (run, r) in problem.runs.iter().zip(problem.residuals(&model)) {
@@ -202,11 +200,30 @@ fn at_speed(problem: &Problem, mut model: Model) -> Model {
 mod tests {
     use super::*;
 
+    fn belief(model: &Parameters, home: &Parameters, parameter: P) -> Prior {
+        let free = baseline_free(model, home, false);
+        free.into_iter().find(|f| f.parameter == parameter).expect("it is free").prior
+    }
+
     /// Fails if a contact ten times as soft as the file's is as good as excluded: every such motor had `contact-stiffening` or nothing
     /// that anyone knows.
     #[test]
     fn another_motor_may_have_another_contact() {
-        let prior = contact(0.02, 0.02).prior;
+        let home = Parameters::new(3.6, 1900.0, 1900.0, 0.3, 0.02).with(P::WaveTime, 2.3e-4);
+        let prior = belief(&home.with(P::OnAcceleration, 300.0), &home, P::SlipBand);
         assert!(prior.log_density(0.2) > prior.log_density(0.02) - 4.0);
+    }
+
+    /// Fails if a motor that is the file's in its friction may have any wave: a late start would be a slow wave, in every motor.
+    #[test]
+    fn the_motor_of_the_file_is_it_in_all() {
+        let home = as_listed(
+            &Parameters::new(3.6, 1900.0, 1900.0, 0.3, 0.02),
+            &Parameters::new(3.6, 1900.0, 1900.0, 0.3, 0.02),
+        )
+        .with(P::WaveTime, 2.3e-4)
+        .with(P::Lift, LIFT.median);
+        let cost = |model: &Parameters| belief(model, &home, P::WaveTime).log_density(3e-3);
+        assert!(cost(&home) < cost(&home.with(P::OnAcceleration, 300.0)) - 3.0);
     }
 }

@@ -1,5 +1,6 @@
 //! Effects that might join a set: all their forms, weighed linearly, and the set with one of them.
 
+use super::baseline::as_listed;
 use super::design::Column;
 use super::evidence::{Equations, Spreads, Start, weigh};
 use super::ground::Ground;
@@ -168,13 +169,8 @@ impl Ground<'_> {
         // The linear size may lie in another valley than the optimum, and the baseline's refit may have taken part of the effect.
         let mut starts = vec![at(1.0)];
         if !spec.sizes.is_empty() {
-            let mut file = at(1.0);
-            for rate in [P::OnAcceleration, P::OffDeceleration, P::Viscous, P::SlipBand, P::WaveTime] {
-                if self.home.get(rate) > 0.0 {
-                    file.parameters.set(rate, self.home.get(rate));
-                }
-            }
-            starts.push(file);
+            let own = at(1.0);
+            starts.push(Model { parameters: as_listed(&own.parameters, &self.home), terms: own.terms });
             if spec.sizes.iter().all(|s| s.step.abs() < 0.99 * s.scale) {
                 starts.push(at(0.4));
             }
@@ -213,7 +209,7 @@ pub(super) fn free_of(form: &Form) -> Vec<Free> {
             parameter: s.parameter,
             scale: 0.5 * s.start,
             bounds: s.bounds,
-            prior: Prior::log_normal(p.median, p.log_sd),
+            prior: Prior::LogNormal { median: p.median, log_sd: p.log_sd },
         })
     });
     form.sizes.iter().map(size).chain(shapes).collect()

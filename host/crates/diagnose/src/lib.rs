@@ -59,7 +59,7 @@ pub mod weighing;
 
 use answer::Diagnosis;
 use conclusion::{Outcome, Settings};
-use observe::{Observed, observe};
+use observe::{Observed, observe, thin};
 use problem::Problem;
 use rotor::{P, Parameters};
 use runs::diagnose_runs;
@@ -164,7 +164,7 @@ pub fn diagnose(
     notes.extend(if measurements.len() == 1 { doubled_order(&runs) } else { None });
     if options.quick {
         let before = runs.len();
-        thin(&mut runs);
+        thin(&mut runs, 2);
         notes.push(format!(
             "quick: {} of {before} runs, the first 2.5 s of each, a null of 150 repetitions; small effects and slow ones may be missed",
             runs.len()
@@ -255,6 +255,9 @@ pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
     let wave_time_s = options.motor.as_ref().map_or(2.28e-4, motor::wave_time_s);
     Parameters::new(free, drive, if options.coasting { 0.0 } else { brake }, viscous, 0.02)
         .with(P::WaveTime, wave_time_s)
+        .with(P::Dying, baseline::DYING.median)
+        .with(P::Lift, baseline::LIFT.median)
+        .with(P::Ahead, baseline::AHEAD.median)
 }
 
 /// Friction of the motor file that the runs do not bear out.
@@ -307,21 +310,4 @@ fn doubled_order(runs: &[Observed]) -> Option<String> {
     orders.dedup();
     (orders.len() < count)
         .then(|| "two runs have the same `order`: effects of warmth and wear may be misjudged".to_owned())
-}
-
-/// Keeps two repetitions of each kind of run and the first 2.5 s of each.
-fn thin(runs: &mut Vec<Observed>) {
-    let mut seen: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
-    runs.retain(|r| {
-        let n = seen.entry(format!("{:?}/{:?}/{}/{}", r.kind, r.duty, r.direction, r.pwm_hz)).or_default();
-        *n += 1;
-        *n <= 2
-    });
-    for r in runs {
-        let keep = r.times.iter().take_while(|t| **t <= 2.5).count().max(2);
-        r.times.truncate(keep);
-        r.angles.truncate(keep);
-        r.level.truncate(keep);
-        r.windows.retain(|w| w.to < keep);
-    }
 }

@@ -53,7 +53,9 @@ fn pulsed_speed_of(rotor: &Rotor) -> f64 {
     let [free, on, viscous, band] = [P::FreeSpeed, P::OnAcceleration, P::Viscous, P::SlipBand].map(|p| rotor.get(p));
     let bare = Rotor::new(free, on, rotor.off_deceleration(), viscous, band)
         .with(P::WaveTime, rotor.get(P::WaveTime))
-        .with(P::RingDown, rotor.get(P::RingDown));
+        .with(P::Dying, rotor.get(P::Dying))
+        .with(P::Lift, rotor.get(P::Lift))
+        .with(P::Ahead, rotor.get(P::Ahead));
     let schedule = Schedule::constant(PULSED_DUTY, 1.0, PULSED_HZ, 0.0, 2.0 * PULSED_S);
     let input = RunInput {
         schedule: &schedule,

@@ -341,6 +341,23 @@ fn control(o: &mut Observed, run: &Run, rows: &[twum_record::measurement::Contro
     }
 }
 
+/// Keeps `each` repetitions of each kind of run and the first 2.5 s of each.
+pub fn thin(runs: &mut Vec<Observed>, each: usize) {
+    let mut seen: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
+    runs.retain(|r| {
+        let n = seen.entry(format!("{:?}/{:?}/{}/{}", r.kind, r.duty, r.direction, r.pwm_hz)).or_default();
+        *n += 1;
+        *n <= each
+    });
+    for r in runs {
+        let keep = r.times.iter().take_while(|t| **t <= 2.5).count().max(2);
+        r.times.truncate(keep);
+        r.angles.truncate(keep);
+        r.level.truncate(keep);
+        r.windows.retain(|w| w.to < keep);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

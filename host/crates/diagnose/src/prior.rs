@@ -12,40 +12,33 @@ pub enum Prior {
         /// Standard deviation, in the number's unit.
         sd: f64,
     },
-    /// A positive number: either near the first median, or anywhere near the second.
-    Either {
-        /// Medians, in the number's unit.
-        medians: [f64; 2],
-        /// Standard deviations of the natural logarithm.
-        log_sds: [f64; 2],
-        /// Probability of the first.
-        first: f64,
+    /// A positive number, around a median by factors.
+    LogNormal {
+        /// Median, in the number's unit.
+        median: f64,
+        /// Standard deviation of the natural logarithm.
+        log_sd: f64,
     },
 }
 
 impl Prior {
-    /// A log-normal.
-    pub fn log_normal(median: f64, log_sd: f64) -> Self {
-        Prior::Either { medians: [median; 2], log_sds: [log_sd; 2], first: 1.0 }
-    }
-
-    /// Log density over the number (`Normal`) or its logarithm (`Either`), without the constant of 2π; 0 where nothing is known.
+    /// Log density over the number (`Normal`) or its logarithm (`LogNormal`), relative to its peak; 0 where nothing is known.
     pub fn log_density(&self, value: f64) -> f64 {
         match *self {
             Prior::Flat => 0.0,
             Prior::Normal { centre, sd } => -0.5 * ((value - centre) / sd).powi(2),
-            Prior::Either { .. } => self.parts(value).iter().sum::<f64>().max(1e-300).ln(),
+            Prior::LogNormal { median, log_sd } => -0.5 * ((value.max(1e-12) / median).ln() / log_sd).powi(2),
         }
     }
 
-    /// Densities of the two parts, each relative to the height a lone first part would have.
-    fn parts(&self, value: f64) -> [f64; 2] {
-        let Prior::Either { medians, log_sds, first } = *self else { return [1.0, 0.0] };
-        let density = |k: usize, weight: f64| {
-            let z = (value.max(1e-12) / medians[k]).ln() / log_sds[k];
-            weight * (-0.5 * z * z).exp() * log_sds[0] / log_sds[k]
+    /// The same with its height, without the constant of 2π: by which beliefs in one number are compared.
+    pub fn log_height(&self, value: f64) -> f64 {
+        let width = match *self {
+            Prior::Flat => 1.0,
+            Prior::Normal { sd, .. } => sd,
+            Prior::LogNormal { log_sd, .. } => log_sd,
         };
-        [density(0, first), density(1, 1.0 - first)]
+        self.log_density(value) - width.ln()
     }
 
     /// Slope and curvature of the negative log density in the number itself; the curvature is that of a parabola above it, so that a
@@ -54,17 +47,10 @@ impl Prior {
         match *self {
             Prior::Flat => (0.0, 0.0),
             Prior::Normal { centre, sd } => ((value - centre) / (sd * sd), 1.0 / (sd * sd)),
-            Prior::Either { medians, log_sds, .. } => {
+            Prior::LogNormal { median, log_sd } => {
                 let value = value.max(1e-12);
-                let parts = self.parts(value);
-                let total = (parts[0] + parts[1]).max(1e-300);
-                let (mut slope, mut curvature) = (0.0, 0.0);
-                for k in 0..2 {
-                    let precision = parts[k] / total / (log_sds[k] * log_sds[k]);
-                    slope += precision * (value / medians[k]).ln() / value;
-                    curvature += precision / (value * value);
-                }
-                (slope, curvature)
+                let precision = 1.0 / (log_sd * log_sd);
+                (precision * (value / median).ln() / value, precision / (value * value))
             }
         }
     }
@@ -80,17 +66,18 @@ impl Prior {
 mod tests {
     use super::*;
 
-    /// Fails if slope and density no longer belong together, or if another motor's friction costs what a wrong file would.
+    /// Fails if slope and density no longer belong together, or if a wide belief does not pay for its width.
     #[test]
     fn slopes_are_those_of_the_density() {
-        let either = Prior::Either { medians: [10.0, 10.0], log_sds: [0.3, 1.5], first: 0.5 };
-        for prior in [Prior::Normal { centre: 1.0, sd: 2.0 }, Prior::log_normal(5.0, 0.9), either] {
+        let (narrow, wide) =
+            (Prior::LogNormal { median: 10.0, log_sd: 0.3 }, Prior::LogNormal { median: 10.0, log_sd: 1.5 });
+        for prior in [Prior::Normal { centre: 1.0, sd: 2.0 }, narrow, wide] {
             for value in [0.3, 2.0, 9.0, 30.0] {
                 let h = 1e-5 * value;
                 let slope = (prior.log_density(value - h) - prior.log_density(value + h)) / (2.0 * h);
                 assert!((slope - prior.pull(value).0).abs() < 1e-4 * slope.abs().max(1e-3), "{prior:?} at {value}");
             }
         }
-        assert!(either.log_density(100.0) > Prior::log_normal(10.0, 0.3).log_density(100.0) + 20.0);
+        assert!(narrow.log_height(10.0) > wide.log_height(10.0) && narrow.log_height(100.0) < wide.log_height(100.0));
     }
 }

@@ -1,6 +1,6 @@
 //! The comparison itself: residuals of every window for given parameters, and their derivatives.
 
-use super::observe::Observed;
+use super::observe::{Observed, thin};
 use super::rotor::{P, Parameters, RunInput, RunTerms, simulate, warm_up};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -76,6 +76,18 @@ impl Problem {
     pub fn widened(mut self) -> Self {
         self.runs.iter_mut().for_each(Observed::widen);
         self
+    }
+
+    /// One repetition of each kind of run, the first seconds of each: enough to tell one kind of motor from another.
+    pub fn thinned(&self) -> Self {
+        let mut runs = self.runs.clone();
+        thin(&mut runs, 1);
+        Self::new(runs).with(self.mine.clone())
+    }
+
+    /// How many windows are compared.
+    pub fn windows(&self) -> f64 {
+        self.runs.iter().map(|r| r.windows.len() as f64).sum()
     }
 
     /// Whether all runs are of closed loops.

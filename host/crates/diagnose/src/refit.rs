@@ -2,7 +2,7 @@
 //!
 //! The objective is the negative logarithm of a posterior whose likelihood is tempered (see [`super::evidence`]): squared error with
 //! the gain of each run taken out as far as gains scatter, the priors, and the phased coefficients under their common power.
-//! Reference: Nocedal & Wright, Numerical Optimization, 2nd ed., chapter 10 (Gauss–Newton with backtracking); the runs' own
+//! Reference: Nocedal & Wright, Numerical Optimization, 2nd ed., chapter 10 (Gauss–Newton, damped after Marquardt); the runs' own
 //! coefficients are eliminated by their Schur complement.
 
 use super::design::{Column, RunDesign};
@@ -42,6 +42,10 @@ pub fn columns_of(free: &[Free]) -> Vec<Column> {
         .collect()
 }
 
+/// How much larger the diagonal of the normal equations is made where the step before went too far (Marquardt, SIAM J. Appl. Math. 11 (1963)
+/// 431): the first step is Gauss and Newton's, the last a thirtieth of each parameter's own.
+const DAMPINGS: [f64; 5] = [0.0, 0.03, 0.3, 3.0, 30.0];
+
 /// Plausible size of a phased coefficient before the first round.
 const FIRST_POWER: f64 = 0.01;
 
@@ -68,11 +72,11 @@ pub fn refit(
         for _ in 0..EXPECTATIONS {
             power = expected_power(&runs, &power, noise.variance);
         }
-        let Some((step, z)) = solve(&runs, free, &model, &power, noise.variance) else { break };
         let target = |m: &Model| objective(problem, m, noise) + 2.0 * noise.variance * penalty(m, free, phased, &power);
         let before = target(&model);
-        let accepted = [1.0, 0.4, 0.16, 0.06, 0.02].into_iter().find_map(|share| {
-            let trial = moved(&model, free, &step, phased, &now, &z, share);
+        let accepted = DAMPINGS.into_iter().find_map(|damping| {
+            let (step, z) = solve(&runs, free, &model, &power, noise.variance, damping)?;
+            let trial = moved(&model, free, &step, phased, &now, &z, 1.0 / (1.0 + damping));
             let after = target(&trial);
             (after < before).then_some((trial, after))
         });
@@ -188,13 +192,14 @@ fn expected_power(runs: &[RunEquations], power: &[f64], variance: f64) -> Vec<f6
     sums.iter().map(|s| (s / runs.len().max(1) as f64).max(1e-9)).collect()
 }
 
-/// Steps of the common parameters (in their scales) and the coefficients of every run.
+/// Steps of the common parameters (in their scales), damped, and the coefficients of every run.
 fn solve(
     runs: &[RunEquations],
     free: &[Free],
     model: &Model,
     power: &[f64],
     variance: f64,
+    damping: f64,
 ) -> Option<(DVector<f64>, Vec<DVector<f64>>)> {
     let c = free.len();
     let mut m = DMatrix::zeros(c, c);
@@ -211,7 +216,7 @@ fn solve(
         m[(i, i)] += variance * curvature * f.scale * f.scale;
         rhs[i] -= variance * slope * f.scale;
         // Rows that the data say nothing of stay where they are.
-        m[(i, i)] += 1e-9 * m[(i, i)].abs() + 1e-12;
+        m[(i, i)] += (damping + 1e-9) * m[(i, i)].abs() + 1e-12;
     }
     let step = m.cholesky()?.solve(&rhs);
     let own = runs
@@ -232,33 +237,41 @@ fn moved(
     phased: &[Phased],
     now: &[Vec<f64>],
     own: &[DVector<f64>],
-    share: f64,
+    own_share: f64,
 ) -> Model {
     let mut trial = model.clone();
     for (f, s) in free.iter().zip(step.iter()) {
         let value = trial.parameters.get(f.parameter);
-        let value = after_step(f.parameter, value, share * s.clamp(-3.0, 3.0) * f.scale);
+        let value = after_step(f, value, s.clamp(-3.0, 3.0) * f.scale);
         trial.parameters.set(f.parameter, value.clamp(f.bounds.0, f.bounds.1));
     }
     let values: Vec<Vec<f64>> = now
         .iter()
         .zip(own)
-        .map(|(from, to)| from.iter().zip(to.iter()).map(|(a, b)| a + share * (b - a)).collect())
+        .map(|(from, to)| from.iter().zip(to.iter()).map(|(a, b)| a + own_share * (b - a)).collect())
         .collect();
     put_coefficients(&mut trial, phased, &values);
     trial
 }
 
-/// A parameter after a step of a linear fit. The angle that starting and stopping costs goes with the inverse of the rates, so a
-/// step of theirs is one of the inverse.
-fn after_step(parameter: P, value: f64, step: f64) -> f64 {
-    if matches!(parameter, P::OnAcceleration | P::OffDeceleration) && value > 0.0 {
-        let inverse = 1.0 - step / value;
-        if inverse > 0.0 { value / inverse } else { f64::INFINITY }
-    } else {
-        value + step
+/// A parameter after a step of a linear fit. A number that is positive is moved by a factor: a step beyond zero would end at a bound, where
+/// the data say nothing of it any more. The angle that starting and stopping costs goes with the inverse of the rates, so a step of theirs
+/// is one of the inverse.
+fn after_step(free: &Free, value: f64, step: f64) -> f64 {
+    if !matches!(free.prior, Prior::LogNormal { .. }) || value <= 0.0 {
+        return value + step;
     }
+    let step = step / value;
+    let factor = match free.parameter {
+        P::OnAcceleration | P::OffDeceleration if step < 1.0 => 1.0 / (1.0 - step),
+        P::OnAcceleration | P::OffDeceleration => MOST_FACTOR,
+        _ => step.exp(),
+    };
+    value * factor.clamp(1.0 / MOST_FACTOR, MOST_FACTOR)
 }
+
+/// By how much a positive number changes in one step at most: no slope is believed further.
+const MOST_FACTOR: f64 = 4.0;
 
 /// Squared error in rpm²·s with the gain of each run taken out as far as gains scatter.
 pub fn objective(problem: &Problem, model: &Model, noise: Noise) -> f64 {

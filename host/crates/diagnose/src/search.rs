@@ -3,13 +3,13 @@
 //! Every set is refitted together with the baseline's own parameters and weighed by its evidence. From a set, all forms of all other
 //! effects are weighed linearly; those of the few best effects are refitted and join the pool. The search is bounded by counts.
 
-use super::baseline::valleys;
+use super::baseline::{as_listed, at_speed, valleys};
 use super::candidate::free_of;
 use super::ground::Ground;
 use super::library::{Coordinate, Form};
 use super::problem::Model;
-use super::refit::{coefficients, put_coefficients};
-use super::rotor::P;
+use super::refit::{Noise, coefficients, put_coefficients};
+use super::rotor::{P, Parameters};
 use super::set::{Part, Set, key, strip};
 use super::weighing::FREE_FORM_COST;
 
@@ -25,6 +25,11 @@ pub(super) const WINDOW: f64 = 9.0;
 const MOST_NOISE_LEFT: f64 = 0.5;
 /// Other rotors that are refitted for a few steps.
 const LOOKED_AT: usize = 3;
+/// Most sets that are refitted to the end, and for how many steps.
+const FINISHED: usize = 8;
+const LAST_STEPS: usize = 24;
+/// Steps of a first look: beside an effect of a given size, from another rotor, without an effect.
+const FEW_STEPS: usize = 4;
 /// Nats behind what the best candidate brought from which one waits for a later set: what a linear look promises is often not kept.
 const FAR_BEHIND: f64 = 20.0;
 
@@ -38,6 +43,10 @@ impl Ground<'_> {
         if let Some(set) = clock.and_then(|model| self.wrong_clock(model, &pool[0])) {
             pool.push(set);
         }
+        // Which motor it is may have been answered wrongly for want of an effect: they are looked for around both.
+        let other = self.of_the_file(&mut pool);
+        self.expand(&other, &self.usable, TRIED, true, &mut pool);
+        self.each_alone(&other, &mut pool);
         for round in 0..MOST_EXPANDED {
             progress("weighing sets of effects", 0.1 + 0.7 * round as f64 / MOST_EXPANDED as f64);
             // Terms without physics give way to what explains them, so that they do not close the way to it.
@@ -57,8 +66,33 @@ impl Ground<'_> {
             self.remove(&mut pool);
         }
         self.swap(&mut pool);
+        self.finish(&mut pool);
         pool.sort_by(|a, b| b.score.total_cmp(&a.score));
         pool
+    }
+
+    /// Refits what is near the best until nothing changes, and what lacks one effect of the best from the best's motor: none may lead because
+    /// another one stopped early, or in another valley.
+    fn finish(&self, pool: &mut Vec<Set>) {
+        let mut done: Vec<Vec<usize>> = Vec::new();
+        let mut led: Vec<Vec<usize>> = Vec::new();
+        for _ in 0..FINISHED {
+            let leader = best(pool);
+            let open = |s: &&Set| s.score > leader.score - FAR_BEHIND && !done.contains(&s.key());
+            let Some(next) = pool.iter().filter(open).max_by(|a, b| a.score.total_cmp(&b.score)).cloned() else {
+                break;
+            };
+            done.push(next.key());
+            let model = self.refitted(next.model.clone(), &next.parts, self.noise(&next), LAST_STEPS);
+            self.put(self.weigh_beside(next.parts, model, &pool[0]), pool);
+            let leader = best(pool).clone();
+            if !led.contains(&leader.key()) {
+                led.push(leader.key());
+                for k in 0..leader.parts.len() {
+                    self.put(self.without(&leader, k, LAST_STEPS, &pool[0]), pool);
+                }
+            }
+        }
     }
 
     /// Refits the baseline with the noise that it leaves, until that changes nothing: the first look took the noise from the misfit.
@@ -71,6 +105,53 @@ impl Ground<'_> {
             }
             pool[0] = again;
         }
+    }
+
+    /// The motor file's own motor, refitted; the better baseline of the two is the first of the pool, the other one comes back.
+    fn of_the_file(&self, pool: &mut [Set]) -> Set {
+        let own = &pool[0].model;
+        let listed = Model { parameters: as_listed(&own.parameters, &self.home), terms: own.terms.clone() };
+        let model = self.refitted(at_speed(self.problem, listed), &[], self.noise(&pool[0]), 8);
+        let listed = self.root(model);
+        if listed.score > pool[0].score { std::mem::replace(&mut pool[0], listed) } else { listed }
+    }
+
+    /// Effects that do most alone where they are as large as is plausible and the motor is refitted beside them, to a few of the runs: what the
+    /// baseline's refit has taken up of an effect, no look around that baseline shows.
+    fn each_alone(&self, other: &Set, pool: &mut Vec<Set>) {
+        let noise = self.noise(&pool[0]);
+        let few = self.problem.thinned();
+        let ground = Ground::new(&few, self.home.clone(), self.effects, self.usable.clone());
+        // As many nats for as much of the data.
+        let share = few.windows() / self.problem.windows() * self.independent / ground.independent;
+        let noise_of_few = Noise { variance: noise.variance * share, ..noise };
+        let motors = [&pool[0], other].map(|set| set.model.parameters.clone());
+        let held = |effect: &usize| ground.held(*effect, &motors, noise_of_few);
+        let mut alone: Vec<(f64, Part, Parameters)> = self.usable.iter().filter_map(held).collect();
+        alone.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (_, part, parameters) in alone.into_iter().take(TRIED) {
+            let parts = vec![part];
+            let model = self.refitted(self.problem.model(parameters), &parts, noise, 8);
+            let set = self.weigh_set(parts, model, Some(&pool[0]));
+            self.put(set, pool);
+        }
+    }
+
+    /// The misfit of the best of `motors` refitted beside an effect that is as large as is plausible; `None` of one that has no size.
+    fn held(&self, effect: usize, motors: &[Parameters], noise: Noise) -> Option<(f64, Part, Parameters)> {
+        let common = |f: &&Form| !f.sizes.is_empty() && f.phased.is_empty();
+        let (form, spec) = self.effects[effect].forms.iter().enumerate().find(|f| common(&f.1))?;
+        let both_ways = spec.sizes.iter().all(|s| s.bounds.0 < 0.0);
+        let signs = [1.0, -1.0].into_iter().take(1 + usize::from(both_ways));
+        let starts = signs.flat_map(|sign| motors.iter().map(move |motor| (sign, motor)));
+        let held = starts.map(|(sign, motor)| {
+            let shaped = spec.shapes.iter().fold(motor.clone(), |p, s| p.with(s.parameter, s.start));
+            let sized = spec.sizes.iter().fold(shaped, |p, s| p.with(s.parameter, sign * s.scale));
+            let model = self.refitted(at_speed(self.problem, self.problem.model(sized)), &[], noise, FEW_STEPS);
+            (self.misfit(&model, &[], noise), model.parameters)
+        });
+        let (misfit, parameters) = held.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some((misfit, Part { effect, form, free: free_of(spec), phased: Vec::new() }, parameters))
     }
 
     /// In closed loops, what the root's own friction without a wave departs from the file's, said as `off-phase-braking`: a linear look
@@ -123,8 +204,9 @@ impl Ground<'_> {
     /// Baselines anew beside effects that take most of the error away: the noise that they made before hid which rotor it is.
     fn reseat_beside(&self, pool: &mut [Set]) {
         let root = pool[0].weighed.variance;
-        let mut clear: Vec<usize> =
-            (1..pool.len()).filter(|i| pool[*i].weighed.variance < MOST_NOISE_LEFT * root).collect();
+        let near = best(pool).score - FAR_BEHIND;
+        let clear = |i: &usize| pool[*i].score > near && pool[*i].weighed.variance < MOST_NOISE_LEFT * root;
+        let mut clear: Vec<usize> = (1..pool.len()).filter(clear).collect();
         clear.sort_by(|a, b| pool[*b].score.total_cmp(&pool[*a].score));
         for at in clear.into_iter().take(TRIED) {
             let set = &pool[at];
@@ -133,7 +215,7 @@ impl Ground<'_> {
             let mut others: Vec<(f64, Model)> =
                 valleys(self.problem, &self.home, &set.model).into_iter().skip(1).map(|m| (value(&m), m)).collect();
             others.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let near = others.into_iter().take(LOOKED_AT).map(|(_, m)| self.refitted(m, &set.parts, noise, 4));
+            let near = others.into_iter().take(LOOKED_AT).map(|(_, m)| self.refitted(m, &set.parts, noise, FEW_STEPS));
             let Some(best) = near.min_by(|a, b| value(a).total_cmp(&value(b))) else { continue };
             let model = self.refitted(best, &set.parts, noise, 8);
             let again = self.weigh_set(set.parts.clone(), model, Some(&pool[0]));
@@ -177,35 +259,37 @@ impl Ground<'_> {
         }
     }
 
-    /// Sets that lack one effect of the best.
+    /// Sets that lack one effect of the best and were not visited.
     fn remove(&self, pool: &mut Vec<Set>) {
-        let Some(best) = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).cloned() else { return };
-        if best.parts.len() < 2 {
+        let leader = best(pool).clone();
+        if leader.parts.len() < 2 {
             return;
         }
-        for k in 0..best.parts.len() {
-            if let Some(set) = self.without(&best, k, pool) {
-                pool.push(set);
+        for k in 0..leader.parts.len() {
+            let mut parts = leader.parts.clone();
+            parts.remove(k);
+            if pool.iter().all(|s| s.key() != key(&parts)) {
+                pool.push(self.without(&leader, k, FEW_STEPS, &pool[0]));
             }
         }
     }
 
-    /// The set without its effect `k`, unless it was visited.
-    fn without(&self, set: &Set, k: usize, pool: &[Set]) -> Option<Set> {
+    /// The set without its effect `k`, refitted from where it is.
+    fn without(&self, set: &Set, k: usize, steps: usize, root: &Set) -> Set {
         let mut parts = set.parts.clone();
         let gone = parts.remove(k);
-        let target = key(&parts);
-        if pool.iter().any(|s| s.key() == target) {
-            return None;
-        }
-        let model = strip(&set.model, &gone);
-        let model = self.refitted(model, &parts, self.noise(set), 4);
-        Some(self.weigh_set(parts, model, Some(&pool[0])))
+        let model = self.refitted(strip(&set.model, &gone), &parts, self.noise(set), steps);
+        self.weigh_beside(parts, model, root)
+    }
+
+    /// A model weighed with its effects beside the root, or as a root.
+    fn weigh_beside(&self, parts: Vec<Part>, model: Model, root: &Set) -> Set {
+        if parts.is_empty() { self.root(model) } else { self.weigh_set(parts, model, Some(root)) }
     }
 
     /// Rivals in the place of each effect of the best set.
     fn swap(&self, pool: &mut Vec<Set>) {
-        let Some(best) = pool.iter().max_by(|a, b| a.score.total_cmp(&b.score)).cloned() else { return };
+        let best = best(pool).clone();
         for k in 0..best.parts.len() {
             let effect = &self.effects[best.parts[k].effect];
             if effect.coordinate == Coordinate::Angle {
@@ -286,4 +370,9 @@ impl Ground<'_> {
             }
         }
     }
+}
+
+/// The best of a pool, which is never without its root.
+fn best(pool: &[Set]) -> &Set {
+    pool.iter().fold(&pool[0], |best, set| if set.score > best.score { set } else { best })
 }

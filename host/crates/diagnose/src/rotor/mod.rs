@@ -153,7 +153,7 @@ mod tests {
         let angles = vec![0.0; times.len()];
         for p in [
             Parameters::new(3.6, 1900.0, 1900.0, 0.3, 0.02).with(P::WaveTime, 2.5e-4),
-            Parameters::new(3.6, 900.0, 15.0, 0.1, 0.02).with(P::WaveTime, 2e-4).with(P::RingDown, 4e-4),
+            Parameters::new(3.6, 900.0, 15.0, 0.1, 0.02).with(P::WaveTime, 2e-4).with(P::Lift, 0.1),
             Parameters::new(3.6, 1900.0, 400.0, 0.3, 0.02).with(P::Sag, 0.2).with(P::SagTime, 5e-3),
         ] {
             for half_sample_s in [0.0, 0.5e-3] {

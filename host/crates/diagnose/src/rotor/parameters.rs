@@ -15,12 +15,15 @@ pub enum P {
     OnAcceleration,
     /// Braking torque with the wave off over inertia in rad/s² (off-phase friction).
     OffDeceleration,
-    /// How long the dying wave brakes with the drive's own torque after each fall of the drive, in s: all the braking a
-    /// coasting rotor has.
-    RingDown,
     /// Time in which the stator's wave builds up and dies away, in s, from the motor file (2·Ms/Cs): a crest that is faster than
-    /// the rotor goes on driving it after a fall, one that is slower goes on braking it after a rise.
+    /// the rotor goes on driving it after a fall, one that is slower holds it back.
     WaveTime,
+    /// Time in which the wave dies away over the one in which it builds up: a driver leaves the stator shorted or open.
+    Dying,
+    /// Share of its full height from which the wave carries the rotor: below, the rotor lies on the stator and is braked.
+    Lift,
+    /// Share of the drive's torque with which the wave holds back a rotor that is faster than its crest.
+    Ahead,
     /// Viscous damping over inertia in 1/s.
     Viscous,
     /// Common delay of the record behind the drive in s (a nuisance, not physics).
@@ -117,12 +120,14 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 51] = [
+    pub const ALL: [P; 53] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
-        P::RingDown,
         P::WaveTime,
+        P::Dying,
+        P::Lift,
+        P::Ahead,
         P::Viscous,
         P::Latency,
         P::SlipBand,
@@ -188,6 +193,8 @@ impl Parameters {
         p.set(P::OffDeceleration, off_deceleration);
         p.set(P::Viscous, viscous);
         p.set(P::SlipBand, slip_band);
+        p.set(P::Dying, 1.0);
+        p.set(P::Ahead, 1.0);
         p.set(P::HeatTau, 1.0);
         p.set(P::SettleTau, 0.03);
         p.set(P::QuantSteps, 32.0);

@@ -1,6 +1,6 @@
 //! A run, stepped from event to event.
 
-use super::motion::{Piece, off_piece, on_piece};
+use super::motion::{Piece, Pull, off_piece, on_piece};
 use super::parameters::harmonics;
 use super::wave::Wave;
 use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay};
@@ -27,11 +27,6 @@ pub struct RunInput<'a> {
     pub mine: Option<&'a Hypothesis>,
 }
 
-/// Wave times after which the crest is full to a few thousandths.
-const WAVE_GONE: f64 = 5.0;
-/// First step after a rise, and how later ones grow with the time since, in wave times.
-const RISE_STEP: f64 = 0.3;
-const RISE_GROWTH: f64 = 0.5;
 /// Longest steps in s: of anything, and of what hangs on the angle.
 const LONGEST_S: f64 = 0.02;
 const LONGEST_OVER_ANGLE_S: f64 = 4e-3;
@@ -42,18 +37,16 @@ const STRIBECK_S: f64 = 2.5e-4;
 const SHORTEST_S: f64 = 1e-7;
 /// Settling times after which nothing is left of it (e⁻⁹).
 const SETTLED: f64 = 9.0;
-/// Change of the speed over a period, relative to the free speed, below which periods repeat each other.
+/// Change over a period of the speed, relative to the free speed, of the sag and of the wave's height below which periods repeat each other.
 const REPEATS: f64 = 1e-7;
 
-/// What the drive asks of the wave.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Wanted {
-    /// No wave.
-    Off,
-    /// A wave at its full height.
-    On,
-    /// A wave that builds up since a rise, when a share of its height was missing.
-    Rising { since: f64, missing: f64 },
+/// What moves the rotor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum By {
+    /// The wave carries it.
+    Wave,
+    /// It lies on the stator.
+    Friction,
 }
 
 /// One piece of the period that later ones repeat: when it began and from what.
@@ -127,13 +120,9 @@ impl<'a> Simulation<'a> {
         } else {
             input.times.iter().map(|t| driven(*t)).collect()
         };
-        let wave = Wave {
-            tau: p.get(P::WaveTime).max(0.0),
-            full: p.get(P::FreeSpeed),
-            rate: p.get(P::OnAcceleration).max(1.0),
-            crest: 0.0,
-            since: 0.0,
-        };
+        let [tau, dying, lift, full, rate] =
+            [P::WaveTime, P::Dying, P::Lift, P::FreeSpeed, P::OnAcceleration].map(|k| p.get(k).max(0.0));
+        let wave = Wave::new([tau, tau * dying], lift, full, rate.max(1.0));
         Self {
             input,
             p,
@@ -177,7 +166,7 @@ impl<'a> Simulation<'a> {
 
     fn periods(&mut self) {
         let periods = &self.input.schedule.periods;
-        let mut before = (f64::NAN, f64::NAN);
+        let mut before = [f64::NAN; 3];
         for (k, period) in periods.iter().enumerate() {
             if period.start >= self.input.drive_end || self.done() {
                 return;
@@ -187,10 +176,10 @@ impl<'a> Simulation<'a> {
                 let last = &periods[k - 1];
                 last.duty == period.duty && (last.end - last.start - (period.end - period.start)).abs() < 1e-12
             };
-            let still =
-                (self.speed - before.0).abs() <= REPEATS * self.wave.full && (self.sagged - before.1).abs() <= REPEATS;
+            let now = [self.speed / self.wave.full, self.sagged, self.wave.height_at(self.t)];
+            let still = now.iter().zip(before).all(|(now, before)| (now - before).abs() <= REPEATS);
             let repeats = whole && same && self.can_repeat();
-            before = (self.speed, self.sagged);
+            before = now;
             if repeats && let Some(pieces) = self.record.take_if(|r| !r.is_empty()) {
                 self.repeat(period.start, period.end, &pieces);
                 self.record = Some(pieces);
@@ -225,7 +214,7 @@ impl<'a> Simulation<'a> {
         self.angle += last.angle - from + a;
         self.speed = w;
         self.t = end;
-        self.wave.since = end;
+        self.wave.shift(end - start);
     }
 
     fn period(&mut self, start: f64, end: f64, duty: f64) {
@@ -233,35 +222,31 @@ impl<'a> Simulation<'a> {
         self.kept = if loss != 0.0 { 1.0 - loss * duty.powf(self.p.get(P::BendPower)) } else { 1.0 };
         self.duty = duty;
         let duty = effective_duty(self.commanded(start, duty), self.p);
-        let mut on_from = end - duty * (end - start);
-        if duty < 1.0 - 1e-9 {
-            let rest_s = if start <= 0.0 { f64::INFINITY } else { on_from - start };
-            on_from += start_delay(self.p, rest_s);
-        } else if start <= 0.0 {
-            on_from = on_from.max(0.0) + start_delay(self.p, f64::INFINITY);
+        let ends = end.min(self.input.drive_end);
+        let rises = (end - duty * (end - start)).max(if start <= 0.0 { 0.0 } else { start }).min(ends);
+        if rises > start + 1e-9 {
+            self.stretch(start, rises, false);
         }
-        let on_from = on_from.clamp(start, end).min(self.input.drive_end);
-        let off_until = end.min(self.input.drive_end);
-        if on_from > start + 1e-9 {
-            let ring_down = if duty < 1.0 - 1e-9 { self.p.get(P::RingDown) } else { 0.0 };
-            self.without_drive(start, on_from, ring_down);
+        // What still stands of the wave need not build up again.
+        let rest_s = if start <= 0.0 { f64::INFINITY } else { rises - start };
+        let late = rises + start_delay(self.p, rest_s) * (1.0 - self.wave.height_at(rises));
+        if late > rises + 1e-9 {
+            self.stretch(rises, late.min(ends), false);
         }
         if duty > 0.0 {
-            let missing = self.wave.missing(on_from);
-            let rising = self.wave.tau > 0.0 && missing > 1e-3;
-            self.wave.rise(on_from, off_until);
-            self.advance(off_until, if rising { Wanted::Rising { since: on_from, missing } } else { Wanted::On }, 0.0);
+            self.stretch(late.min(ends), ends, true);
         }
     }
 
-    /// From a fall of the drive: the crest outruns the rotor for a while, brakes it as it dies, and is gone.
-    fn without_drive(&mut self, fall: f64, until: f64, ring_down: f64) {
-        let overrun = fall + self.wave.overrun_s(fall, self.speed);
-        self.advance(until.min(overrun), Wanted::On, 0.0);
-        if ring_down > 0.0 {
-            self.advance(until.min(overrun + ring_down), Wanted::Off, self.wave.rate);
+    /// From a switching of the drive to the next: the wave carries the rotor once it is high enough, and as long as it is.
+    fn stretch(&mut self, from: f64, until: f64, driven: bool) {
+        if self.wave.driven() != driven || !driven {
+            self.wave.switch(from, driven);
         }
-        self.advance(until, Wanted::Off, self.p.off_deceleration().max(0.0));
+        let crosses = self.wave.crosses_lift().min(until);
+        let [before, after] = if driven { [By::Friction, By::Wave] } else { [By::Wave, By::Friction] };
+        self.advance(crosses, before);
+        self.advance(until, after);
     }
 
     /// After the last period.
@@ -269,7 +254,7 @@ impl<'a> Simulation<'a> {
         self.record = None;
         if let Some(last) = self.asked.last().filter(|_| !self.done()) {
             let last = last.max(self.t) + 1e-6;
-            self.without_drive(self.t, last, self.p.get(P::RingDown).max(0.0));
+            self.stretch(self.t, last, false);
         }
     }
 
@@ -313,9 +298,9 @@ impl<'a> Simulation<'a> {
     }
 
     /// Advances to `until`, answering what is asked on the way.
-    fn advance(&mut self, until: f64, drive: Wanted, brake: f64) {
+    fn advance(&mut self, until: f64, by: By) {
         let p = self.p;
-        let on = drive != Wanted::Off;
+        let driven = self.wave.driven();
         let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
         while self.t < until - 1e-12 && !self.done() {
             let directions = &self.input.schedule.directions;
@@ -324,47 +309,50 @@ impl<'a> Simulation<'a> {
             }
             let sign = directions.get(self.direction).map_or(1.0, |d| d.1);
             let mut end = until.min(self.t + self.longest_step());
-            let mut crest = 1.0;
-            if let Wanted::Rising { since, missing } = drive {
-                // Steps that grow with the time since the rise: the crest moves less and less.
-                let age = self.t - since;
-                if age < WAVE_GONE * self.wave.tau {
-                    end = end.min(self.t + (RISE_STEP * self.wave.tau).max(RISE_GROWTH * age));
-                    crest = 1.0 - missing * (-(0.5 * (self.t + end) - since) / self.wave.tau).exp();
-                }
+            if by == By::Wave {
+                end = end.min(self.t + self.wave.step_s(self.t));
             }
             if let Some(d) = directions.get(self.direction + 1) {
                 end = end.min(d.0);
             }
             let (modulation, mut external) = self.over_angle();
-            external -= p.get(P::Viscous) * self.speed + self.stribeck(on, sign);
+            external -= p.get(P::Viscous) * self.speed + self.stribeck(by == By::Wave, sign);
             let friction = 1.0 + sign * p.get(P::AsymFriction);
-            let brake = brake
-                * friction
-                * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0)
-                * (1.0 + self.mine(ActsOn::Braking, sign)).max(0.0);
-            let mut target = 0.0;
-            let mut acceleration = self.wave.rate;
-            if on {
-                let mine = (1.0 + self.mine(ActsOn::Speed, sign)).max(0.0);
-                target = sign * self.wave.full * self.gain(sign, modulation, end) * mine * crest;
-                self.on_time += end - self.t;
-                let torque =
-                    friction * (1.0 + p.get(P::RunoutTorque) * modulation) * (1.0 + self.mine(ActsOn::Torque, sign));
-                acceleration *= torque.max(0.01);
+            let step_s = end - self.t;
+            match by {
+                By::Wave => {
+                    let mine = (1.0 + self.mine(ActsOn::Speed, sign)).max(0.0);
+                    let full = sign * self.wave.full * self.gain(sign, modulation, end) * mine;
+                    let torque = friction
+                        * (1.0 + p.get(P::RunoutTorque) * modulation)
+                        * (1.0 + self.mine(ActsOn::Torque, sign));
+                    let acceleration = self.wave.rate * torque.max(0.01);
+                    let band = (band_fraction * full.abs()).max(SHORTEST_S * acceleration);
+                    let [from, to] = self.wave.course(self.t, end).map(|height| full * height);
+                    let (began, slope) = (self.t, (to - from) / step_s);
+                    while self.t < end - 1e-12 && !self.done() {
+                        let crest = from + slope * (self.t - began);
+                        let ahead = p.get(P::Ahead);
+                        let pull = Pull { sign, crest, slope, acceleration, band, ahead };
+                        self.follow(on_piece(self.speed, &pull, external), end);
+                    }
+                }
+                By::Friction => {
+                    let brake = p.off_deceleration().max(0.0)
+                        * friction
+                        * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0)
+                        * (1.0 + self.mine(ActsOn::Braking, sign)).max(0.0);
+                    while self.t < end - 1e-12 && !self.done() {
+                        self.follow(off_piece(self.speed, brake, external), end);
+                    }
+                }
+            }
+            if driven {
+                self.on_time += step_s;
             }
             if p.get(P::Sag) != 0.0 {
-                let drive = if on { 1.0 } else { 0.0 };
-                self.sagged = drive + (self.sagged - drive) * (-(end - self.t) / p.get(P::SagTime).max(1e-4)).exp();
-            }
-            let band = (band_fraction * target.abs()).max(SHORTEST_S * acceleration);
-            while self.t < end - 1e-12 && !self.done() {
-                let piece = if on {
-                    on_piece(self.speed, target, acceleration, band, external)
-                } else {
-                    off_piece(self.speed, brake, external)
-                };
-                self.follow(piece, end);
+                let drive = if driven { 1.0 } else { 0.0 };
+                self.sagged = drive + (self.sagged - drive) * (-step_s / p.get(P::SagTime).max(1e-4)).exp();
             }
         }
     }
@@ -432,9 +420,9 @@ impl<'a> Simulation<'a> {
     }
 
     /// Friction that fades with speed, over inertia, against the motion.
-    fn stribeck(&self, on: bool, sign: f64) -> f64 {
+    fn stribeck(&self, carried: bool, sign: f64) -> f64 {
         let extra = self.p.get(P::StribeckDeceleration);
-        if extra == 0.0 || !(on || self.speed != 0.0) {
+        if extra == 0.0 || !(carried || self.speed != 0.0) {
             return 0.0;
         }
         let x = self.speed / self.p.get(P::StribeckSpeed).max(1e-3);
