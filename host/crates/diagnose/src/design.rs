@@ -2,7 +2,7 @@
 
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM, RunResidual};
-use super::rotor::{P, Parameters};
+use super::rotor::{Course, P, Parameters, RunTerms};
 use rayon::prelude::*;
 
 /// A change of the delay over time that is small against the windows (s), and the unit of its column (s).
@@ -155,7 +155,10 @@ impl<'a> Linearised<'a> {
         match &self.columns[c] {
             Column::Scalar { .. } => {
                 let Moved { from, to, per_step } = self.moved[c].as_ref().expect("every scalar column is moved");
-                let to = self.residual(i, &to.0, to.1[i]);
+                let to = match from {
+                    None => self.moved_residual(i, &to.0, to.1[i], now),
+                    Some(_) => self.residual(i, &to.0, to.1[i]),
+                };
                 match from {
                     None => change(now, &to, *per_step),
                     Some(from) => change(&self.residual(i, &from.0, from.1[i]), &to, *per_step),
@@ -167,14 +170,18 @@ impl<'a> Linearised<'a> {
                 let at = run.windows.iter().map(|w| hat(*j, *n, middle(&run.times, w) / self.longest_s));
                 change(now, &later, unit_s / step_s).into_iter().zip(at).map(|(change, at)| change * at).collect()
             }
-            Column::Runout(_) | Column::Eccentricity(_) | Column::Gravity(_) => {
-                let (moved, step) = self.phased_step(i, &self.columns[c], p);
-                change(now, &moved, 1.0 / step)
+            Column::Eccentricity(_) => {
+                let (terms, step) = self.phased_step(i, &self.columns[c]);
+                change(now, &self.problem.compared(i, now.course.clone(), p, &terms), 1.0 / step)
+            }
+            Column::Runout(_) | Column::Gravity(_) => {
+                let (terms, step) = self.phased_step(i, &self.columns[c]);
+                change(now, &self.problem.run_residual(i, p, &terms, self.warmth[i]), 1.0 / step)
             }
             Column::Shaped(phased, shape) => {
                 let shaped = shape.iter().fold(p.clone(), |q, (which, value)| q.with(*which, *value));
-                let (moved, step) = self.phased_step(i, phased, &shaped);
-                change(now, &moved, 1.0 / step)
+                let (terms, step) = self.phased_step(i, phased);
+                change(now, &self.problem.run_residual(i, &shaped, &terms, self.warmth[i]), 1.0 / step)
             }
             Column::Flexible(basis) => {
                 let of = |(w, predicted): (&Window, &f64)| self.flexible(run, *basis, w, *predicted);
@@ -183,8 +190,28 @@ impl<'a> Linearised<'a> {
         }
     }
 
-    /// Residuals of a run with one phased coefficient larger by a step, and the step.
-    fn phased_step(&self, i: usize, column: &Column, p: &Parameters) -> (RunResidual, f64) {
+    /// The same of parameters `p` that differ in one from the model, whose residuals are `now`: what moves the record and not the rotor needs
+    /// no simulation.
+    fn moved_residual(&self, i: usize, p: &Parameters, warmth: f64, now: &RunResidual) -> RunResidual {
+        let here = &self.model.parameters;
+        let moves = |which: P| p.get(which) != here.get(which);
+        if [P::EdgeOffset, P::Backlash, P::Miscount, P::MiscountDrift].into_iter().any(moves) {
+            return self.problem.compared(i, now.course.clone(), p, &self.model.terms[i]);
+        }
+        if [P::Latency, P::ClockError].into_iter().any(moves) {
+            let clock = 1.0 + here.get(P::ClockError);
+            let later =
+                |t: &f64| (t - p.get(P::Latency)) / (1.0 + p.get(P::ClockError)) - (t - here.get(P::Latency)) / clock;
+            let Course { angle, speed } = &now.course;
+            let moved = self.problem.runs[i].times.iter().zip(angle).zip(speed).map(|((t, a), w)| a + w * later(t));
+            let course = Course { angle: moved.collect(), speed: speed.clone() };
+            return self.problem.compared(i, course, p, &self.model.terms[i]);
+        }
+        self.residual(i, p, warmth)
+    }
+
+    /// What belongs to a run with one phased coefficient larger by a step, and the step.
+    fn phased_step(&self, i: usize, column: &Column) -> (RunTerms, f64) {
         let mut terms = self.model.terms[i];
         let step = match column {
             Column::Runout(h) => {
@@ -201,7 +228,7 @@ impl<'a> Linearised<'a> {
             }
             _ => 1.0,
         };
-        (self.problem.run_residual(i, p, &terms, self.warmth[i]), step)
+        (terms, step)
     }
 
     /// What a function without physics adds to a window whose predicted speed is `predicted` (rpm).

@@ -67,8 +67,7 @@ fn pulsed_speed_of(rotor: &Rotor) -> f64 {
         revolutions: 0.0,
         mine: None,
     };
-    let (mut angle, mut speed) = (Vec::new(), Vec::new());
-    simulate(&input, &bare, &RunTerms::default(), &mut angle, &mut speed);
+    let angle = simulate(&input, &bare, &RunTerms::default()).angle;
     (angle[1] - angle[0]) / PULSED_S
 }
 

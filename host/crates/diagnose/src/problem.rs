@@ -1,7 +1,7 @@
 //! The comparison itself: residuals of every window for given parameters, and their derivatives.
 
 use super::observe::{Observed, thin};
-use super::rotor::{P, Parameters, RunInput, RunTerms, simulate, warm_up};
+use super::rotor::{Course, P, Parameters, RunInput, RunTerms, simulate, warm_up};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -40,8 +40,8 @@ pub struct RunResidual {
     pub rpm: Vec<f64>,
     /// Predicted mean speed of each window in rpm.
     pub predicted: Vec<f64>,
-    /// Rotor speed at each time in rad/s.
-    pub speed: Vec<f64>,
+    /// What the simulated rotor did.
+    pub course: Course,
 }
 
 impl Problem {
@@ -155,11 +155,7 @@ impl Problem {
         let warmth = self.warmth(&model.parameters);
         (0..self.runs.len())
             .into_par_iter()
-            .map(|i| {
-                let mut angle = Vec::new();
-                simulate(&self.input(i, warmth[i]), &model.parameters, &model.terms[i], &mut angle, &mut Vec::new());
-                angle
-            })
+            .map(|i| simulate(&self.input(i, warmth[i]), &model.parameters, &model.terms[i]).angle)
             .collect()
     }
 
@@ -178,15 +174,20 @@ impl Problem {
     }
 
     pub(super) fn run_residual(&self, i: usize, p: &Parameters, terms: &RunTerms, warmth: f64) -> RunResidual {
+        self.compared(i, simulate(&self.input(i, warmth), p, terms), p, terms)
+    }
+
+    /// What the encoder of run `i` shows of a rotor's course, held against what was recorded.
+    pub(super) fn compared(&self, i: usize, course: Course, p: &Parameters, terms: &RunTerms) -> RunResidual {
         let run = &self.runs[i];
-        let input = self.input(i, warmth);
-        let mut angle = Vec::with_capacity(run.times.len());
-        let mut out = RunResidual::default();
-        simulate(&input, p, terms, &mut angle, &mut out.speed);
+        let angle = &course.angle;
+        let [mut rpm, mut predicted] = [(); 2].map(|()| Vec::with_capacity(run.windows.len()));
         let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
-        let sensor = terms.eccentricity.iter().any(|c| *c != 0.0);
-        out.rpm.reserve(run.windows.len());
-        out.predicted.reserve(run.windows.len());
+        let wheel: Vec<f64> = if terms.eccentricity.iter().any(|c| *c != 0.0) {
+            run.angles.iter().map(|shown| terms.encoder_error(*shown)).collect()
+        } else {
+            Vec::new()
+        };
         let track = run.kind == RunKind::Track;
         let backlash = p.get(P::Backlash);
         let miscount = p.get(P::Miscount);
@@ -197,8 +198,8 @@ impl Problem {
                 if offset != 0.0 {
                     advance -= offset * f64::from(run.level[w.from] - run.level[w.to]);
                 }
-                if sensor {
-                    advance += terms.encoder_error(run.angles[w.to]) - terms.encoder_error(run.angles[w.from]);
+                if !wheel.is_empty() {
+                    advance += wheel[w.to] - wheel[w.from];
                 }
                 if track && (backlash != 0.0 || miscount != 0.0 || drift != 0.0) {
                     // Thousands in a loop that chatters: they are sorted by time.
@@ -210,9 +211,9 @@ impl Problem {
             }
             let measured = advance.clamp(w.low, w.high);
             let dt = run.duration(w).max(1e-6);
-            out.rpm.push((measured - advance) / dt * RPM);
-            out.predicted.push(advance / dt * RPM);
+            rpm.push((measured - advance) / dt * RPM);
+            predicted.push(advance / dt * RPM);
         }
-        out
+        RunResidual { rpm, predicted, course }
     }
 }

@@ -15,7 +15,7 @@ mod wave;
 
 pub use parameters::{HARMONICS, P, Parameters, RunTerms};
 pub use schedule::{Period, Schedule};
-pub use simulate::{RunInput, simulate};
+pub use simulate::{Course, RunInput, simulate};
 
 /// Warmth at the end of a drive of `seconds` at `duty` that began at `warmth`.
 pub fn warm_up(warmth: f64, duty: f64, seconds: f64, tau: f64) -> f64 {
@@ -77,9 +77,7 @@ mod tests {
             revolutions: 0.0,
             mine: None,
         };
-        let mut angle = Vec::new();
-        simulate(&input, p, &RunTerms::default(), &mut angle, &mut Vec::new());
-        angle
+        simulate(&input, p, &RunTerms::default()).angle
     }
 
     /// The same rotor in steps of a microsecond: the crest follows the drive with a time constant, the contact pulls the rotor
@@ -167,10 +165,8 @@ mod tests {
                     revolutions: 0.0,
                     mine: None,
                 };
-                let [mut fast, mut stepped] = [Vec::new(), Vec::new()];
-                simulate(&input, &p, &RunTerms::default(), &mut fast, &mut Vec::new());
-                simulate(&input, &p.with(P::Wear, 1e-12), &RunTerms::default(), &mut stepped, &mut Vec::new());
-                for (a, b) in fast.iter().zip(&stepped) {
+                let angles = |p: &Parameters| simulate(&input, p, &RunTerms::default()).angle;
+                for (a, b) in angles(&p).iter().zip(&angles(&p.with(P::Wear, 1e-12))) {
                     assert!((a - b).abs() < 1e-4, "{a} {b}");
                 }
             }

@@ -267,12 +267,22 @@ impl RunTerms {
     /// less the error.
     pub fn encoder_error(&self, measured: f64) -> f64 {
         // Each round leaves an error smaller by the wheel's relative error of speed, a third at most.
-        (0..FIXED_POINT_ROUNDS).fold(0.0, |error, _| harmonics(&self.eccentricity, measured - error))
+        let mut error = 0.0;
+        for _ in 0..FIXED_POINT_ROUNDS {
+            let before = error;
+            error = harmonics(&self.eccentricity, measured - before);
+            if (error - before).abs() < ANGLE_ERROR_RAD {
+                break;
+            }
+        }
+        error
     }
 }
 
 /// 0.3^5 of an error that is itself a third of a radian at most: a thousandth of a radian.
 const FIXED_POINT_ROUNDS: usize = 5;
+/// Error of an angle that is nothing, in rad: a thousandth of an encoder's pitch at most.
+const ANGLE_ERROR_RAD: f64 = 1e-6;
 
 #[cfg(test)]
 mod tests {

@@ -57,16 +57,25 @@ struct Repeated {
     piece: Piece,
 }
 
-/// Rotor angle in rad at every measured time, and the rotor speed there in rad/s.
+/// What a simulated rotor does.
+#[derive(Debug, Clone, Default)]
+pub struct Course {
+    /// Its angle at every measured time, in rad.
+    pub angle: Vec<f64>,
+    /// Its speed there, in rad/s.
+    pub speed: Vec<f64>,
+}
+
+/// Simulates a run.
 ///
 /// An edge that was seen between two samples lies, its place on the wheel being unknown, anywhere between the rotor's angles at
 /// the two with equal probability: what a measured time stands for is their mean, not the angle in the middle of the period. The
 /// two differ wherever the rotor starts or stops, thousands of times a run.
-pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms, angle: &mut Vec<f64>, speed: &mut Vec<f64>) {
-    let mut s = Simulation::new(input, p, terms, std::mem::take(angle), std::mem::take(speed));
+pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms) -> Course {
+    let mut s = Simulation::new(input, p, terms);
     s.periods();
     s.coast();
-    (*angle, *speed) = s.finish();
+    s.finish()
 }
 
 struct Simulation<'a> {
@@ -74,8 +83,10 @@ struct Simulation<'a> {
     p: &'a Parameters,
     terms: &'a RunTerms,
     wave: Wave,
-    /// What changes slowly or with the angle, so that no period repeats another.
+    /// What changes with the angle, so that no period repeats another.
     has_angle: bool,
+    /// What [`Self::over_angle`] said of the angle that was measured last, and which that was.
+    over_measured: Option<(usize, f64, f64)>,
     /// The user's own effect, where it acts.
     mine: Option<&'a Hypothesis>,
     /// Commanded duty of the period.
@@ -100,22 +111,14 @@ struct Simulation<'a> {
 }
 
 impl<'a> Simulation<'a> {
-    fn new(
-        input: &'a RunInput,
-        p: &'a Parameters,
-        terms: &'a RunTerms,
-        mut angles: Vec<f64>,
-        mut speeds: Vec<f64>,
-    ) -> Self {
-        angles.clear();
-        speeds.clear();
+    fn new(input: &'a RunInput, p: &'a Parameters, terms: &'a RunTerms) -> Self {
         let clock = 1.0 + p.get(P::ClockError);
         let (latency, drift) = (p.get(P::Latency), p.get(P::ClockDrift));
         // t_recorded = (1 + ε + drift·t/2)·t, solved to first order in the drift.
         let driven = |t: f64| (t - latency) / (clock + 0.5 * drift * (t - latency));
         let half = input.half_sample_s;
         // Asked for on both sides of every time; put together at the end.
-        let asked = if half > 0.0 {
+        let asked: Vec<f64> = if half > 0.0 {
             input.times.iter().flat_map(|t| [driven(t - half), driven(t + half)]).collect()
         } else {
             input.times.iter().map(|t| driven(*t)).collect()
@@ -130,11 +133,12 @@ impl<'a> Simulation<'a> {
             wave,
             mine: input.mine.filter(|m| m.is_there(&p.mine())),
             duty: 0.0,
+            over_measured: None,
             has_angle: terms.runout.iter().chain(&terms.gravity).any(|c| *c != 0.0),
+            angles: Vec::with_capacity(asked.len()),
+            speeds: Vec::with_capacity(asked.len()),
             asked,
             next: 0,
-            angles,
-            speeds,
             t: 0.0,
             angle: 0.0,
             speed: 0.0,
@@ -258,7 +262,7 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    fn finish(mut self) -> (Vec<f64>, Vec<f64>) {
+    fn finish(mut self) -> Course {
         // Times before the start of the drive, or after numerical ties.
         self.angles.resize(self.asked.len(), self.angle);
         self.speeds.resize(self.asked.len(), self.speed);
@@ -271,7 +275,7 @@ impl<'a> Simulation<'a> {
                 list.truncate(n);
             }
         }
-        (self.angles, self.speeds)
+        Course { angle: self.angles, speed: self.speeds }
     }
 
     /// Longest step that may be made now, in s.
@@ -414,9 +418,16 @@ impl<'a> Simulation<'a> {
             return (0.0, 0.0);
         }
         let theta = self.shown();
+        if let Some((measured, modulation, load)) = self.over_measured
+            && measured == self.measured
+        {
+            return (modulation, load);
+        }
         let (s, c) = theta.sin_cos();
         let load = self.p.get(P::OnAcceleration) * (self.terms.gravity[0] * c + self.terms.gravity[1] * s);
-        (harmonics(&self.terms.runout, theta), load)
+        let modulation = harmonics(&self.terms.runout, theta);
+        self.over_measured = Some((self.measured, modulation, load));
+        (modulation, load)
     }
 
     /// Friction that fades with speed, over inertia, against the motion.
