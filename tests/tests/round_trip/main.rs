@@ -64,7 +64,7 @@ fn cases() -> Vec<Case> {
     vec![
         // Runs of some seconds and ten of warming: up to a quarter warm.
         short(
-            ("name", "the search: probability 0.00 to 0.07 at a few per cent of slowing within runs of 1.5 s"),
+            ("name", "the search: a few per cent of slowing within runs of 1.5 s"),
             "resonance-heating",
             "speed_loss_warm",
             |v, p| -slope(p, &[0.05, 0.1, 0.15, 0.2, 0.25], |q, share| q.frequency_hz += v[0] * share),
@@ -74,7 +74,7 @@ fn cases() -> Vec<Case> {
         }),
         case("high-duty-saturation", "inverse_saturation_duty", |v, _| v[0]),
         short(
-            ("name", "the search: probability 0; the refitted friction takes the softer start"),
+            ("name", "the search: the refitted wave and friction take the softer start"),
             "contact-stiffening",
             "slip_band_excess",
             |v, _| v[1],
@@ -86,39 +86,34 @@ fn cases() -> Vec<Case> {
             slope(p, &[-1.0, -0.5, 0.5, 1.0], |q, share| q.preload_n *= 1.0 + v[0] * share).abs()
         }),
         short(
-            ("name", "the search: probability 0; the refitted friction takes the slower start"),
+            ("name", "the search: the refitted wave and friction take the slower start"),
             "stribeck-friction",
             "extra_friction_over_inertia",
             |v, p| v[0] / p.rotor_inertia_kg_m2,
         ),
         short(
-            ("name", "the search: probability 0.62; a bend of the duty does nearly as well, and a name takes 8.8 nats"),
+            ("name", "the search: a bend of the duty does nearly as well, and a name takes 8.8 nats"),
             "supply-sag",
             "speed_lost_at_full_duty",
             |v, p| -slope(p, &[0.5, 1.0], |q, share| q.force_factor_n_v *= 1.0 - v[0] * share),
         ),
         // The logarithm reaches about 1.
         short(
-            ("name", "the search: probability 0.15 at four per cent of change over the experiment"),
+            ("name", "the search: four per cent of change over the experiment"),
             "run-in-wear",
             "change_per_log_revolution",
             |v, p| slope(p, &[0.5, 1.0], |q, share| q.force_factor_n_v *= 1.0 + v[0] * share),
         ),
+        case("dead-zone", "threshold_duty", |v, _| v[0]),
         short(
-            ("saved model", "the search: the refitted friction takes a part of what pulses lose"),
-            "dead-zone",
-            "threshold_duty",
-            |v, _| v[0],
-        ),
-        short(
-            ("name", "the search: probability 0.81; the refitted friction takes a part of what pulses lose"),
+            ("name", "the search: the refitted wave and friction take a part of what pulses lose"),
             "start-delay",
             "delay_s",
             |v, _| v[0],
         ),
         case("duty-quantisation", "duty_steps", |v, _| 1.0 / v[0]),
         short(
-            ("name", "the search: probability 0 at 0.02 rad in runs of nine tenths of a turn"),
+            ("name", "the search: 0.02 rad in runs of nine tenths of a turn"),
             "encoder-eccentricity",
             "eccentricity_rad",
             |v, _| v[0],
@@ -181,7 +176,7 @@ fn round_trip(case: &Case, factor: f64, design: Design) -> Row {
         missed: Vec::new(),
     };
     if let Some(e) = d.effects.iter().find(|e| e.name == case.name && e.status == "rejected") {
-        row.found = format!("probability {:.2}, {}", e.probability.unwrap_or(0.0), e.note);
+        row.found = format!("probability {:.2}", e.probability.unwrap_or(0.0));
     }
     let right = if d.named().is_empty() { d.suspected().contains(&case.name) } else { d.named() == [case.name] };
     if !right {
