@@ -65,7 +65,7 @@ fn nothing_hidden_names_nothing() {
 /// One of seven runs, of a motor that coasts for seconds, is slow enough to show its friction. Fails when it is scored by what the
 /// others say of it: that missed it by 66 rpm, of a motor that makes 47, and called this the noise floor.
 #[test]
-#[ignore = "some minutes more: .ci/run thorough"]
+#[ignore = "takes long: .ci/run thorough"]
 fn thorough_a_run_that_alone_shows_the_friction_is_fitted_and_not_scored() {
     let case = Case { generator: "c".to_owned(), kind: Kind::Single, seed: 8003 };
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -209,7 +209,7 @@ fn hidden_effects_are_found_without_being_told() {
 
 /// The same of three that others look like.
 #[test]
-#[ignore = "some minutes more: .ci/run thorough"]
+#[ignore = "takes long: .ci/run thorough"]
 fn thorough_more_hidden_effects_are_found_without_being_told() {
     found_without_being_told(["preload-runout", "clock-error", "frequency-settling"]);
 }

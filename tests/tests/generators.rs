@@ -147,7 +147,7 @@ fn what_is_hidden_is_in_the_data_and_in_no_other() {
 /// Fails if an effect cannot be hidden, comes weaker or stronger than said, or larger than makes sense. Every effect of
 /// the library and beyond it, half of them from each generator.
 #[test]
-#[ignore = "some minutes more: .ci/run thorough"]
+#[ignore = "takes long: .ci/run thorough"]
 fn thorough_every_effect_can_be_hidden_as_strongly_as_said() {
     for (kind, effects) in [(Kind::Single, 16), (Kind::Outside, 8)] {
         for n in 0..effects {

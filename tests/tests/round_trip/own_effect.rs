@@ -84,7 +84,7 @@ fn a_formula_of_ones_own_is_found_saved_and_repeats_the_data() {
 
 /// The same of one over time, that has a rate beside its size.
 #[test]
-#[ignore = "some minutes more: .ci/run thorough"]
+#[ignore = "takes long: .ci/run thorough"]
 fn thorough_a_formula_over_time_is_found_saved_and_repeats_the_data() {
     found_saved_and_repeated(SWING, &[0.1, 0.65], "depth");
 }

@@ -2,7 +2,7 @@
 
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM, RunResidual};
-use super::rotor::{Course, P, Parameters, RunTerms};
+use super::rotor::{P, Parameters, RunTerms, Trajectory};
 use rayon::prelude::*;
 
 /// A change of the delay over time that is small against the windows (s), and the unit of its column (s).
@@ -172,7 +172,7 @@ impl<'a> Linearised<'a> {
             }
             Column::Eccentricity(_) => {
                 let (terms, step) = self.phased_step(i, &self.columns[c]);
-                change(now, &self.problem.compared(i, now.course.clone(), p, &terms), 1.0 / step)
+                change(now, &self.problem.compared(i, now.trajectory.clone(), p, &terms), 1.0 / step)
             }
             Column::Runout(_) | Column::Gravity(_) => {
                 let (terms, step) = self.phased_step(i, &self.columns[c]);
@@ -196,16 +196,16 @@ impl<'a> Linearised<'a> {
         let here = &self.model.parameters;
         let moves = |which: P| p.get(which) != here.get(which);
         if [P::EdgeOffset, P::Backlash, P::Miscount, P::MiscountDrift].into_iter().any(moves) {
-            return self.problem.compared(i, now.course.clone(), p, &self.model.terms[i]);
+            return self.problem.compared(i, now.trajectory.clone(), p, &self.model.terms[i]);
         }
         if [P::Latency, P::ClockError].into_iter().any(moves) {
             let clock = 1.0 + here.get(P::ClockError);
             let later =
                 |t: &f64| (t - p.get(P::Latency)) / (1.0 + p.get(P::ClockError)) - (t - here.get(P::Latency)) / clock;
-            let Course { angle, speed } = &now.course;
+            let Trajectory { angle, speed } = &now.trajectory;
             let moved = self.problem.runs[i].times.iter().zip(angle).zip(speed).map(|((t, a), w)| a + w * later(t));
-            let course = Course { angle: moved.collect(), speed: speed.clone() };
-            return self.problem.compared(i, course, p, &self.model.terms[i]);
+            let trajectory = Trajectory { angle: moved.collect(), speed: speed.clone() };
+            return self.problem.compared(i, trajectory, p, &self.model.terms[i]);
         }
         self.residual(i, p, warmth)
     }

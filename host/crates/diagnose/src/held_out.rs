@@ -221,7 +221,7 @@ impl<'a> Scorer<'a> {
         for (run, r) in problem.runs.iter().zip(problem.residuals(&set.model)) {
             for (k, w) in run.windows.iter().enumerate() {
                 let dt = run.duration(w).max(1e-6);
-                let (a, b) = (r.course.speed[w.from], r.course.speed[w.to]);
+                let (a, b) = (r.trajectory.speed[w.from], r.trajectory.speed[w.to]);
                 let timing = if w.low == w.high { run.time_spread * (a * a + b * b).sqrt() / dt * RPM } else { 0.0 };
                 let gain = set.weighed.taus[0] * r.predicted[k];
                 sum += (timing * timing + gain * gain) * dt;

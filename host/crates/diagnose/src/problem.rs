@@ -1,7 +1,7 @@
 //! The comparison itself: residuals of every window for given parameters, and their derivatives.
 
 use super::observe::{Observed, thin};
-use super::rotor::{Course, P, Parameters, RunInput, RunTerms, simulate, warm_up};
+use super::rotor::{P, Parameters, RunInput, RunTerms, Trajectory, simulate, warm_up};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -41,7 +41,7 @@ pub struct RunResidual {
     /// Predicted mean speed of each window in rpm.
     pub predicted: Vec<f64>,
     /// What the simulated rotor did.
-    pub course: Course,
+    pub trajectory: Trajectory,
 }
 
 impl Problem {
@@ -177,10 +177,10 @@ impl Problem {
         self.compared(i, simulate(&self.input(i, warmth), p, terms), p, terms)
     }
 
-    /// What the encoder of run `i` shows of a rotor's course, held against what was recorded.
-    pub(super) fn compared(&self, i: usize, course: Course, p: &Parameters, terms: &RunTerms) -> RunResidual {
+    /// What the encoder of run `i` shows of a rotor's trajectory, held against what was recorded.
+    pub(super) fn compared(&self, i: usize, trajectory: Trajectory, p: &Parameters, terms: &RunTerms) -> RunResidual {
         let run = &self.runs[i];
-        let angle = &course.angle;
+        let angle = &trajectory.angle;
         let [mut rpm, mut predicted] = [(); 2].map(|()| Vec::with_capacity(run.windows.len()));
         let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
         let wheel: Vec<f64> = if terms.eccentricity.iter().any(|c| *c != 0.0) {
@@ -214,6 +214,6 @@ impl Problem {
             rpm.push((measured - advance) / dt * RPM);
             predicted.push(advance / dt * RPM);
         }
-        RunResidual { rpm, predicted, course }
+        RunResidual { rpm, predicted, trajectory }
     }
 }

@@ -1,9 +1,9 @@
 //! The rotor equation the diagnosis searches with: drive phases, a saturating drive torque, Coulomb braking.
 //!
-//! It is the averaged motor model reduced once more. Between two switching instants the drive pulls the rotor towards the
-//! free speed of the wave with a torque that is constant (friction is saturated) until the speed comes within a slip band of
-//! the wave's, and proportional inside the band; with the wave off, Coulomb friction brakes. Both have closed forms, so
-//! a run is stepped from event to event, without a truncation error and thousands of times faster than real time.
+//! It is the averaged motor model reduced once more. The wave follows the drive with a time constant; from some height on it pulls the rotor
+//! towards its crest's speed with a torque that is constant (friction is saturated) until the speed comes within a slip band of
+//! it, and proportional inside the band; below that height Coulomb friction brakes. All have closed forms but the crest's, which
+//! moves in straight pieces of half a time constant or more: a run is stepped from event to event.
 //!
 //! Everything an effect of the library can change is a parameter here, with the value 0 for "absent".
 
@@ -15,7 +15,7 @@ mod wave;
 
 pub use parameters::{HARMONICS, P, Parameters, RunTerms};
 pub use schedule::{Period, Schedule};
-pub use simulate::{Course, RunInput, simulate};
+pub use simulate::{RunInput, Trajectory, simulate};
 
 /// Warmth at the end of a drive of `seconds` at `duty` that began at `warmth`.
 pub fn warm_up(warmth: f64, duty: f64, seconds: f64, tau: f64) -> f64 {

@@ -59,7 +59,7 @@ struct Repeated {
 
 /// What a simulated rotor does.
 #[derive(Debug, Clone, Default)]
-pub struct Course {
+pub struct Trajectory {
     /// Its angle at every measured time, in rad.
     pub angle: Vec<f64>,
     /// Its speed there, in rad/s.
@@ -71,7 +71,7 @@ pub struct Course {
 /// An edge that was seen between two samples lies, its place on the wheel being unknown, anywhere between the rotor's angles at
 /// the two with equal probability: what a measured time stands for is their mean, not the angle in the middle of the period. The
 /// two differ wherever the rotor starts or stops, thousands of times a run.
-pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms) -> Course {
+pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms) -> Trajectory {
     let mut s = Simulation::new(input, p, terms);
     s.periods();
     s.coast();
@@ -262,7 +262,7 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    fn finish(mut self) -> Course {
+    fn finish(mut self) -> Trajectory {
         // Times before the start of the drive, or after numerical ties.
         self.angles.resize(self.asked.len(), self.angle);
         self.speeds.resize(self.asked.len(), self.speed);
@@ -275,7 +275,7 @@ impl<'a> Simulation<'a> {
                 list.truncate(n);
             }
         }
-        Course { angle: self.angles, speed: self.speeds }
+        Trajectory { angle: self.angles, speed: self.speeds }
     }
 
     /// Longest step that may be made now, in s.
