@@ -4,6 +4,7 @@ use super::discrepancy::Term;
 use super::finding::{Estimate, Finding, Status, Unknown};
 use super::ground::Ground;
 use super::held_out::{Chance, Scorer};
+use super::level::DUTY;
 use super::library::{Coordinate, Effect};
 use super::numbers::estimates;
 use super::problem::{Model, Problem};
@@ -14,6 +15,7 @@ use super::verdict::{
     ALIKE, Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, MOST_OF_A_COURSE, NAMED, TEMPERATURE,
     Visited, judge,
 };
+use twum_record::measurement::RunKind;
 
 /// What the search is asked to do.
 #[derive(Debug, Clone)]
@@ -103,6 +105,10 @@ impl Standing {
             clear_lead: ALIKE,
             most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|e| matches!(ground.effects[e].coordinate, Coordinate::Start | Coordinate::Angle),
+            makes_course: &|e, lives_in| {
+                let mut terms = ground.terms.iter().filter(|t| t.lives_in == lives_in);
+                terms.any(|t| t.coordinates.contains(&ground.effects[e].coordinate))
+            },
         };
         let mut sets = visited.to_vec();
         let mut struck: Vec<(usize, f64)> = Vec::new();
@@ -163,7 +169,9 @@ impl View<'_> {
             let one_of = self.standing.judged.set_of(part.effect).is_some();
             let p_null = self.chance.p(&held);
             let parameters = estimates(self.scorer, effect, accepted, part);
-            let by_chance = p_null > LARGEST_P || could_be_none(effect, part, &parameters);
+            let by_chance = p_null > LARGEST_P
+                || could_be_none(effect, part, &parameters)
+                || any_curve_does(ground.problem, effect, [&less, accepted]);
             let conflicts = match (once || by_chance && !one_of, one_of) {
                 (true, _) => effect.conflicts.iter().map(|c| (*c).to_owned()).collect(),
                 (_, true) => [self.rivals(part.effect), unseen].concat(),
@@ -252,6 +260,26 @@ fn could_be_none(effect: &Effect, part: &Part, estimates: &[Estimate]) -> bool {
     form.phased.is_empty() && sizes.peek().is_some() && sizes.all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0)
 }
 
+/// Numbers of a curve over the duty that the motor's own parameters take up: free speed and what each pulse loses.
+const OF_THE_MOTOR: usize = 2;
+
+/// Whether one of the effect's forms comes as near by chance to whatever curve over the duty there is: no number joins them, and they are more
+/// than there are duties.
+fn any_curve_does(problem: &Problem, effect: &Effect, sets: [&Set; 2]) -> bool {
+    let open = problem.runs.iter().all(|r| r.kind == RunKind::Speed);
+    let (duties, ways) = (problem.duties(), effect.ways());
+    let many = effect.coordinate == Coordinate::Duty && open && ways > duties;
+    many && !stands_out(sets.map(|set| set.weighed.taus[DUTY]), duties, ways)
+}
+
+/// Whether one of so many `ways` to curve the gains over some duties is believed, by the spreads of the gains without and with it. Beside it
+/// stands a curve that nobody knows, which is as likely before the data: it has a number for each duty that the motor leaves, each as large as
+/// the gains spread without the effect and known as well as they spread with it.
+fn stands_out([without, with]: [f64; 2], duties: usize, ways: usize) -> bool {
+    let numbers = duties.saturating_sub(OF_THE_MOTOR) as f64;
+    (without / with).powf(numbers) / ways as f64 >= NAMED / (1.0 - NAMED)
+}
+
 /// Probability from which an effect needs no second opinion: that of runs held out is linear around the fit and knows of the noise only
 /// what single runs say. On the generators that may be used for choosing, effects that it doubted had up to 0.991 where they were not there.
 const BEYOND_DOUBT: f64 = 0.995;
@@ -267,7 +295,8 @@ fn uncertain_effects(
 ) -> Vec<usize> {
     let accepted = judged.accepted(sets, Set::key, |_| false).unwrap_or(root);
     let all = scorer.held_out(accepted);
-    let doubtful = accepted.parts.iter().filter(|p| certain(judged, p.effect) < BEYOND_DOUBT).find(|p| {
+    let in_doubt = |p: &&Part| certain(judged, p.effect) < BEYOND_DOUBT && !judged.of_course.contains(&p.effect);
+    let doubtful = accepted.parts.iter().filter(in_doubt).find(|p| {
         let held = scorer.held_out(&without(ground, sets, accepted, p.effect)).against(&all);
         // Three closed loops have no spread to speak of: there, every gain needs its interval.
         let helps = held.gain() >= LEAST_GAIN && !ground.problem.closed();
@@ -349,4 +378,18 @@ fn left_over(ground: &Ground, scorer: &Scorer, judged: &Judgement, best: &Set) -
             Unknown { lives_in: place, gain, share: *share, p_null: super::verdict::LARGEST_P }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if one of 74 staircases is believed where it leaves a fifth of what five duties spread: one in four does as well by chance.
+    #[test]
+    fn a_staircase_has_to_be_seen_at_more_duties_than_a_curve_has_numbers() {
+        assert!(!stands_out([0.03, 0.006], 5, 74));
+        assert!(stands_out([0.03, 0.006], 8, 74));
+        assert!(!stands_out([0.3, 0.006], 3, 74));
+        assert!(!stands_out([0.006, 0.006], 12, 74));
+    }
 }

@@ -2,8 +2,9 @@
 
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM, RunResidual};
-use super::rotor::{P, Parameters, RunTerms, Trajectory};
+use super::rotor::{P, Parameters, RunTerms, Trajectory, effective_duty};
 use rayon::prelude::*;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// A change of the delay over time that is small against the windows (s), and the unit of its column (s).
 const LATER_S: [f64; 2] = [5e-4, 1e-2];
@@ -43,8 +44,8 @@ pub enum Basis {
     Time(usize, usize),
     /// Hat `k` of `n` over the phase in the PWM period (cyclic).
     Phase(usize, usize),
-    /// 1 in a PWM period, −1 in the next, averaged over the window.
-    EveryOtherPeriod,
+    /// The cosine (0) or the sine (1) that repeats every so many PWM periods, averaged over the window.
+    Periods(u8, u8),
     /// The sign of the slot a window begins with, where it ends with one of the other kind.
     Slot,
     /// `cos` (even) or `sin` (odd) of harmonic `k/2 + 1` of the measured angle.
@@ -207,6 +208,12 @@ impl<'a> Linearised<'a> {
             let trajectory = Trajectory { angle: moved.collect(), speed: speed.clone() };
             return self.problem.compared(i, trajectory, p, &self.model.terms[i]);
         }
+        // A duty that is mapped to the same one as before is the same drive: most of a coarse grid's treads are.
+        let mapped = |duty: f64| effective_duty(duty, p) == effective_duty(duty, here);
+        let by_the_duty_alone = || P::ALL.into_iter().all(|which| !moves(which) || P::OF_THE_DUTY.contains(&which));
+        if self.problem.mine.is_none() && self.problem.runs[i].duty.is_some_and(mapped) && by_the_duty_alone() {
+            return now.clone();
+        }
         self.residual(i, p, warmth)
     }
 
@@ -241,8 +248,11 @@ impl<'a> Linearised<'a> {
             * match basis {
                 Basis::Time(j, n) => hat(j, n, time_s / self.longest_s),
                 Basis::Phase(j, n) => cyclic_hat(j, n, time_s / period_s),
-                Basis::EveryOtherPeriod => {
-                    period_s * (parity(between[1] / period_s) - parity(between[0] / period_s)) / duration_s
+                Basis::Periods(n, quarter) => {
+                    let turn = |t: f64| TAU * t / (f64::from(n) * period_s) - FRAC_PI_2 * f64::from(quarter);
+                    let [from, to] = between.map(turn);
+                    // The mean of the cosine.
+                    (to.sin() - from.sin()) / (to - from).max(1e-9)
                 }
                 Basis::Slot => {
                     let slots = f64::from(run.level[w.from] - run.level[w.to]);
@@ -270,11 +280,6 @@ fn middle(of: &[f64], w: &Window) -> f64 {
 fn hat(j: usize, n: usize, x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0) * (n - 1) as f64;
     (1.0 - (x - j as f64).abs()).max(0.0)
-}
-
-/// The integral over `periods` of what is 1 in a period and −1 in the next.
-fn parity(periods: f64) -> f64 {
-    1.0 - (periods.rem_euclid(2.0) - 1.0).abs()
 }
 
 /// Piecewise linear basis function `j` of `n` over the fraction of a period.

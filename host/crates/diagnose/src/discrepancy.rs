@@ -20,6 +20,11 @@ pub struct Term {
     pub harmonic: bool,
 }
 
+/// What a term without physics costs in nats: a cause of the library is the likelier explanation by far, but not beyond all evidence.
+pub const TERM_COST: f64 = 10.0;
+/// The same where an effect of the library acts over the term's coordinate: there the term is a form of that effect that nobody knows.
+pub const FREE_FORM_COST: f64 = 20.0;
+
 /// Standard deviation of a common coefficient, as a share of the speed.
 pub const SIZE: f64 = 0.1;
 
@@ -58,8 +63,10 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             harmonic: false,
         });
         all.push(Term {
-            lives_in: "PWM phase, every other period",
-            columns: flexible(vec![Basis::EveryOtherPeriod]),
+            lives_in: "PWM phase, from period to period",
+            columns: flexible(
+                [2, 3, 4].into_iter().flat_map(|n| [Basis::Periods(n, 0), Basis::Periods(n, 1)]).collect(),
+            ),
             coordinates: &[],
             own: false,
             harmonic: false,
@@ -97,13 +104,14 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             own: true,
             harmonic: true,
         });
-        all.push(Term {
-            lives_in: "angle, three and more times a turn",
-            columns: harmonics(3, 8),
+        let many = [("angle, three and more times a turn", 3, 8), ("angle, nine and more times a turn", 9, 16)];
+        all.extend(many.map(|(lives_in, from, to)| Term {
+            lives_in,
+            columns: harmonics(from, to),
             coordinates: &[],
             own: true,
             harmonic: true,
-        });
+        }));
     }
     all
 }

@@ -48,9 +48,10 @@ impl Equations {
             .zip(values)
             .map(|(d, z)| {
                 let n = d.columns;
-                let x = DMatrix::from_row_slice(d.y.len(), n, &d.x);
+                // Rows of windows are columns of the transposed matrix.
+                let x = DMatrix::from_column_slice(n, d.y.len(), &d.x);
                 let y = DVector::from_column_slice(&d.y);
-                let (g, b) = (x.tr_mul(&x), x.tr_mul(&y));
+                let (g, b) = (&x * x.transpose(), &x * &y);
                 let around = DVector::from_fn(n, |i, _| if own.contains(&i) { z[i - own.start] } else { 0.0 });
                 let shift = &g * &around;
                 let yy = y.dot(&y) + 2.0 * b.dot(&around) + shift.dot(&around);
@@ -75,9 +76,14 @@ impl Equations {
         [before - after, before]
     }
 
-    /// Squared error in rpm²·s that is none: what any equation misses, of speeds that are the first column.
+    /// The speeds, which are the first column, squared and summed: rpm²·s.
+    pub fn squared_speeds(&self) -> f64 {
+        self.runs.iter().map(|r| r.g[(0, 0)]).sum()
+    }
+
+    /// Squared error in rpm²·s that is none: what any equation misses of the speeds.
     pub fn floor(&self) -> f64 {
-        MODEL_FLOOR * MODEL_FLOOR * self.runs.iter().map(|r| r.g[(0, 0)]).sum::<f64>()
+        MODEL_FLOOR * MODEL_FLOOR * self.squared_speeds()
     }
 }
 

@@ -5,13 +5,13 @@
 
 use super::baseline::{as_listed, at_speed, valleys};
 use super::candidate::free_of;
+use super::discrepancy::FREE_FORM_COST;
 use super::ground::Ground;
 use super::library::{Coordinate, Form};
 use super::problem::Model;
 use super::refit::{Noise, coefficients, put_coefficients};
 use super::rotor::{P, Parameters};
 use super::set::{Part, Set, key, strip};
-use super::weighing::FREE_FORM_COST;
 
 /// Most effects in a set.
 pub(super) const MOST_EFFECTS: usize = 4;
@@ -21,6 +21,9 @@ pub(super) const MOST_EXPANDED: usize = 6;
 pub(super) const TRIED: usize = 4;
 /// A set this far behind the best, in nats, is not looked at further: what it leads to has to make up for that too.
 pub(super) const WINDOW: f64 = 9.0;
+/// Sets from which others are looked for in vain before it is enough: what is near the best and leads nowhere is the best and something that
+/// does nothing.
+const IN_VAIN: usize = 2;
 /// Share of the root's noise below which its baseline is doubted: half the noise is half the evidence that it was chosen by.
 const MOST_NOISE_LEFT: f64 = 0.5;
 /// Other rotors that are refitted for a few steps.
@@ -40,30 +43,39 @@ impl Ground<'_> {
         let mut pool = vec![self.root(baseline)];
         self.settle(&mut pool);
         self.missing_friction(&mut pool);
-        if let Some(set) = clock.and_then(|model| self.wrong_clock(model, &pool[0])) {
-            pool.push(set);
+        let at_lines: Vec<Model> = self.lines().map(|error| with_clock(&pool[0].model, error)).collect();
+        for model in clock.into_iter().chain(&at_lines) {
+            if let Some(set) = self.wrong_clock(model, &pool[0]) {
+                self.put(set, &mut pool);
+            }
         }
         // Which motor it is may have been answered wrongly for want of an effect: they are looked for around both.
         let other = self.of_the_file(&mut pool);
         self.expand(&other, &self.usable, TRIED, true, &mut pool);
         self.each_alone(&other, &mut pool);
+        let mut in_vain = 0;
         for round in 0..MOST_EXPANDED {
             progress("weighing sets of effects", 0.1 + 0.7 * round as f64 / MOST_EXPANDED as f64);
             // Terms without physics give way to what explains them, so that they do not close the way to it.
             let reach = |s: &Set| s.score - FREE_FORM_COST * s.terms.len() as f64;
-            let best = pool.iter().map(reach).fold(f64::NEG_INFINITY, f64::max);
-            let open = |s: &Set| !s.expanded && s.parts.len() < MOST_EFFECTS && s.score > best - WINDOW;
+            let farthest = pool.iter().map(reach).fold(f64::NEG_INFINITY, f64::max);
+            let open = |s: &Set| !s.expanded && s.parts.len() < MOST_EFFECTS && s.score > farthest - WINDOW;
             let next =
                 (0..pool.len()).filter(|i| open(&pool[*i])).max_by(|a, b| pool[*a].score.total_cmp(&pool[*b].score));
             let Some(at) = next else { break };
             pool[at].expanded = true;
             let from = pool[at].clone();
+            let before = best(&pool).score;
             self.expand(&from, &self.usable, TRIED, false, &mut pool);
+            in_vain = if best(&pool).score > before { 0 } else { in_vain + 1 };
             if round == 0 {
                 self.reseat(&mut pool);
                 self.reseat_beside(&mut pool);
             }
             self.remove(&mut pool);
+            if in_vain == IN_VAIN {
+                break;
+            }
         }
         self.swap(&mut pool);
         self.finish(&mut pool);
@@ -173,6 +185,13 @@ impl Ground<'_> {
         let model = self.refitted(model, &parts, self.noise(&pool[0]), 8);
         let set = self.weigh_set(parts, model, Some(&pool[0]));
         pool.push(set);
+    }
+
+    /// Clock errors at which the PWM's line stands: a linear look from no error does not get as far as half a period of drift.
+    fn lines(&self) -> impl Iterator<Item = f64> {
+        let forms = self.usable.iter().flat_map(|e| &self.effects[*e].forms);
+        let sizes = forms.filter(|f| f.sizes.len() == 1).map(|f| &f.sizes[0]);
+        sizes.filter(|s| s.parameter == P::ClockError && s.step.abs() >= s.scale).map(|s| s.step)
     }
 
     /// The set of a clock error alone, from a motor that was refitted beside it, in the form that is meant for so large a one.
@@ -370,6 +389,10 @@ impl Ground<'_> {
             }
         }
     }
+}
+
+fn with_clock(model: &Model, error: f64) -> Model {
+    Model { parameters: model.parameters.with(P::ClockError, error), terms: model.terms.clone() }
 }
 
 /// The best of a pool, which is never without its root.

@@ -35,6 +35,10 @@ pub struct Set {
     pub terms: Vec<(&'static str, f64)>,
     /// What courses of each run's own over time or angle would take, the strongest first.
     pub courses: Vec<Course>,
+    /// Root mean square by which the effects have moved the gains of the runs.
+    pub moved: f64,
+    /// The predicted speeds, squared and summed, in rpm²·s.
+    pub squared_speeds: f64,
     /// Whether others were looked for from it.
     pub expanded: bool,
 }
@@ -55,6 +59,8 @@ impl Set {
             belief: self.weighed.belief,
             terms: self.terms.clone(),
             courses: self.courses.clone(),
+            moved: self.moved * self.moved * self.squared_speeds,
+            squared_speeds: self.squared_speeds,
         }
     }
 }

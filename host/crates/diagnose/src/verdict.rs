@@ -48,6 +48,10 @@ pub struct Visited {
     pub terms: Vec<(&'static str, f64)>,
     /// Share of the squared error left that a course of each run's own would take, by the term's name.
     pub courses: Vec<Course>,
+    /// Squared error in rpm²·s that the effects remove by moving the gains of the runs, which is not in `left`.
+    pub moved: f64,
+    /// The speeds, squared and summed, in rpm²·s: gains that scatter by a share are its square of it.
+    pub squared_speeds: f64,
 }
 
 /// What a course of each run's own would take beside a set.
@@ -70,6 +74,8 @@ pub struct Judgement {
     pub named: Vec<usize>,
     /// The smallest sets of each of which one is there, where none of its effects is certain.
     pub one_of: Vec<Vec<usize>>,
+    /// The one of them that is said for the courses of single runs, which are beyond chance by themselves; empty if none is.
+    pub of_course: Vec<usize>,
     /// Where something lives that no effect explains, strongest first, with the share of all removed squared error that it removes.
     pub lives_in: Vec<(&'static str, f64)>,
     /// Whether what lives there is more than may stay beside a cause.
@@ -114,6 +120,8 @@ pub struct Background<'a> {
     pub most_of_a_course: f64,
     /// Whether all that an effect does, it does within a run.
     pub within_runs: &'a dyn Fn(usize) -> bool,
+    /// Whether an effect is what a course of each run's own over this coordinate would be.
+    pub makes_course: &'a dyn Fn(usize, &str) -> bool,
 }
 
 /// The visited sets with their probabilities.
@@ -177,8 +185,12 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
             }
         }
     }
+    let nothing_yet = named.is_empty() && one_of.is_empty();
+    let of_course = nothing_yet.then(|| course_of_effects(sets, background)).flatten().unwrap_or_default();
+    one_of.extend((!of_course.is_empty()).then(|| of_course.clone()));
     let causes: Vec<usize> = named.iter().chain(one_of.iter().flatten()).copied().collect();
-    let lives_in = left_without_cause(&sets[0], root, &causes, background);
+    let best = sets.iter().find(|s| of_course.iter().any(|e| s.key == [*e])).unwrap_or(&sets[0]);
+    let lives_in = left_without_cause(best, root, &causes, background);
     let beside: f64 = lives_in.iter().map(|l| l.1).sum();
     // A cause that makes the runs differ by more than they did is none.
     let Visited { taus, belief, .. } = &sets[0];
@@ -188,7 +200,7 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
         named.clear();
         one_of.clear();
     }
-    Judgement { inclusion, named, one_of, lives_in, withheld }
+    Judgement { inclusion, named, one_of, of_course, lives_in, withheld }
 }
 
 /// Sets of which one is there: first of effects that look alike, then of what is left.
@@ -212,6 +224,16 @@ fn sets_of_rivals(
     found
 }
 
+/// Where the runs have courses of their own that nothing explains, the effects that have such courses, likeliest first: the phase of each run
+/// costs the evidence of an effect more than these courses leave in doubt.
+fn course_of_effects(sets: &[Visited], background: &Background) -> Option<Vec<usize>> {
+    let course =
+        sets[0].courses.first().filter(|c| sets[0].terms.is_empty() && c.share > background.most_of_a_course)?;
+    let alone = sets.iter().filter(|s| s.key.len() == 1 && s.score.is_finite()).map(|s| s.key[0]);
+    let effects: Vec<usize> = alone.filter(|e| (background.makes_course)(*e, course.lives_in)).collect();
+    (!effects.is_empty()).then_some(effects)
+}
+
 /// Named effects with what looks like them and is behind by no more than forms differ: rivals, whatever the probabilities.
 fn close_rivals(sets: &[Visited], named: &[usize], background: &Background) -> Vec<(usize, usize)> {
     let near = |e: usize| {
@@ -231,18 +253,21 @@ fn left_without_cause(
     background: &Background,
 ) -> Vec<(&'static str, f64)> {
     let after = best.terms.last().map_or(best.left, |t| t.1);
-    let removed = (root.left - after).max(1e-12);
+    let beyond = |k: &usize| best.belief[*k] < -LARGEST_SPREAD && best.taus[*k] > 0.01;
+    let spreads: Vec<(&'static str, f64)> = (0..NAMES.len())
+        .filter(beyond)
+        .map(|k| (NAMES[k], best.taus[k] * best.taus[k] * best.squared_speeds))
+        .collect();
+    let by_spreads: f64 = spreads.iter().map(|s| s.1).sum();
+    let removed = (root.left - after + best.moved + by_spreads).max(1e-12);
     let mut before = best.left;
     let mut lives_in = Vec::new();
     for (place, left) in &best.terms {
         lives_in.push((*place, ((before - left) / removed).clamp(0.0, 1.0)));
         before = *left;
     }
-    for (k, name) in NAMES.iter().enumerate() {
-        if best.belief[k] < -LARGEST_SPREAD && best.taus[k] > 0.01 {
-            lives_in.push((name, 0.0));
-        }
-    }
+    lives_in.extend(spreads.into_iter().map(|(name, square)| (name, square / removed)));
+    lives_in.sort_by(|a, b| b.1.total_cmp(&a.1));
     if !lives_in.is_empty() {
         return lives_in;
     }
@@ -270,6 +295,8 @@ mod tests {
             belief: [0.0; 5],
             terms: Vec::new(),
             courses: Vec::new(),
+            moved: 0.0,
+            squared_speeds: 0.0,
         }
     }
 
@@ -281,6 +308,7 @@ mod tests {
             clear_lead: ALIKE,
             most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|e| e % 2 == 0,
+            makes_course: &|e, lives_in| e < 2 && lives_in == "angle",
         };
         judge(sets, sets.iter().find(|s| s.key.is_empty()).expect("there is a root"), &background)
     }
@@ -329,6 +357,31 @@ mod tests {
         };
         assert_eq!(lives_in([-1.1, -0.9]), [("duty", 0.0)]);
         assert_eq!(lives_in([-0.9, -1.1]), []);
+    }
+
+    /// Fails if a course that the library's effects have is nobody's, or if one that they have not is theirs.
+    #[test]
+    fn a_course_that_effects_have_is_one_of_them() {
+        let of = |lives_in: &'static str| {
+            let mut root = set(&[], 100.0, 10.0);
+            root.courses = vec![Course { lives_in, taken: 3.0, share: 0.3 }];
+            judged(&[root, set(&[1], 99.9, 7.0), set(&[2], 99.8, 10.0), set(&[0], 98.0, 7.1)])
+        };
+        assert_eq!((of("angle").one_of, of("angle").lives_in), (vec![vec![1, 0]], vec![]));
+        assert_eq!((of("time").one_of, of("time").lives_in), (vec![], vec![("time", 0.3)]));
+    }
+
+    /// Fails if a name stands beside gains that scatter with the order for more than what it explains, or falls for less.
+    #[test]
+    fn a_spread_of_the_gains_counts_as_what_it_removes() {
+        let withheld = |spread: f64| {
+            let [mut best, mut root] = [set(&[0], 100.0, 10.0), set(&[], 0.0, 20.0)];
+            for set in [&mut best, &mut root] {
+                (set.taus[4], set.belief[4], set.squared_speeds) = (spread, -2.0 * LARGEST_SPREAD, 1e4);
+            }
+            judged(&[best, root]).withheld
+        };
+        assert!(withheld(0.05) && !withheld(0.02));
     }
 
     /// Fails if a name stands beside a course of each run's own that is as large as what it explains, where both lie within the runs.

@@ -2,7 +2,7 @@
 
 use super::baseline::first_noise;
 use super::design::{Basis, Column};
-use super::discrepancy::{SIZE, Term};
+use super::discrepancy::{FREE_FORM_COST, SIZE, TERM_COST, Term};
 use super::evidence::{Equations, Question, Spreads, Start, Weighed, weigh};
 use super::ground::Ground;
 use super::level::Level;
@@ -20,10 +20,6 @@ pub(super) const EFFECT_COST: f64 = 3.0;
 /// What a second effect over the same coordinate costs besides: the difference between the library's form of one and the real one lies
 /// there too.
 pub(super) const SAME_COORDINATE: f64 = 10.0;
-/// What a term without physics costs: a cause of the library is the likelier explanation by far, but not beyond all evidence.
-pub(super) const TERM_COST: f64 = 10.0;
-/// The same where an effect of the library acts over the term's coordinate: there the term is a form of that effect that nobody knows.
-pub(super) const FREE_FORM_COST: f64 = 20.0;
 /// Relative error of speed from which a wheel is no wheel: it would read motion out of its own error.
 const MOST_OF_A_WHEEL: f64 = 0.7;
 /// The same of a runout: the wave would stand still, or turn back, within every turn.
@@ -75,9 +71,12 @@ impl Ground<'_> {
             powers: Vec::new(),
         };
         let mut weighed = scale.ask(&[], &start, &self.level).unwrap_or_else(failed);
-        if let Some(r) = root {
-            let shift = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
-            let level = self.level.beside_a_shift((shift / weighed.gains.len().max(1) as f64).sqrt());
+        let moved = root.map_or(0.0, |r| {
+            let square: f64 = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum();
+            (square / weighed.gains.len().max(1) as f64).sqrt()
+        });
+        if root.is_some() {
+            let level = self.level.beside_a_shift(moved);
             weighed = scale
                 .ask(&[], &Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() }, &level)
                 .unwrap_or_else(failed);
@@ -95,7 +94,17 @@ impl Ground<'_> {
             parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
         let shared = (parts.len() - coordinates.len()) as f64;
         let score = beside.log + prior + amplitude - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
-        Set { parts, model, score, weighed, terms: beside.left, courses: beside.courses, expanded: false }
+        Set {
+            parts,
+            model,
+            score,
+            weighed,
+            terms: beside.left,
+            courses: beside.courses,
+            moved,
+            squared_speeds: scale.equations.squared_speeds(),
+            expanded: false,
+        }
     }
 
     fn term_cost(&self, term: usize) -> f64 {

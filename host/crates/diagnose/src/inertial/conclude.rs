@@ -109,6 +109,7 @@ impl Standing {
             clear_lead: if one_pass { f64::INFINITY } else { CLEAR_LEAD },
             most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|_| true,
+            makes_course: &|_, _| false,
         };
         let mut sets = visited.to_vec();
         let mut struck = Vec::new();

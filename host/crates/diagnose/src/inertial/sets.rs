@@ -75,6 +75,9 @@ impl Set {
             belief: self.weighed.belief,
             terms: self.terms.clone(),
             courses: self.courses.clone(),
+            // Runs of an ordinary motor differ by chance alone, see `Level::by_chance`.
+            moved: 0.0,
+            squared_speeds: 0.0,
         }
     }
 }

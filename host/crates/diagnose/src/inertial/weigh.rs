@@ -1,10 +1,9 @@
 //! What the data say for a set of effects: the equations around a refitted plant, with terms without physics beside it.
 
-use super::super::discrepancy::SIZE;
+use super::super::discrepancy::{FREE_FORM_COST, SIZE, TERM_COST};
 use super::super::evidence::{Equations, Normal, Question, Spreads, Start, Weighed, weigh};
 use super::super::level::Level;
 use super::super::verdict::Course;
-use super::super::weighing::{FREE_FORM_COST, TERM_COST};
 use super::data::{Data, DriveRun};
 use super::effects::Free;
 use super::fit::{Plant, derivatives};

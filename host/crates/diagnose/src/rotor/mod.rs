@@ -129,6 +129,30 @@ mod tests {
         }
     }
 
+    /// Fails if one of the numbers that map the duty acts elsewhere too: runs whose duty it leaves as it is are not simulated again.
+    #[test]
+    fn a_mapped_duty_is_that_drive_and_nothing_else() {
+        let plain = Parameters::new(3.57, 1000.0, 300.0, 0.3, 0.02).with(P::WaveTime, 4e-4);
+        let mapped = P::OF_THE_DUTY.map(|which| {
+            let rounded = plain.with(P::QuantShare, 1.0).with(P::QuantSteps, 7.0);
+            match which {
+                P::QuantShare | P::QuantSteps => rounded,
+                P::QuantDown => rounded.with(P::QuantDown, 1.0),
+                P::GateDuty | P::GateWidth => plain.with(P::GateDuty, 0.58).with(P::GateWidth, 0.05),
+                P::FlatTop => plain.with(P::FlatTop, 0.45),
+                _ => plain.with(which, 0.2),
+            }
+        });
+        let times = [0.009, 0.011, 0.013, 0.017, 0.02, 0.022, 0.04];
+        for p in mapped {
+            let duty = effective_duty(0.6, &p);
+            assert!((duty - 0.6).abs() > 1e-3, "{p:?}");
+            for (a, b) in angles(&p, 0.6 * 0.02, 0.0, &times).iter().zip(angles(&plain, duty * 0.02, 0.0, &times)) {
+                assert!((a - b).abs() < 1e-9, "{p:?}: {a} {b}");
+            }
+        }
+    }
+
     /// Fails if an edge is held against the angle in the middle of its sampling period.
     #[test]
     fn a_sampled_edge_stands_for_the_mean_of_both_samples() {

@@ -176,6 +176,19 @@ impl P {
         P::Mine3,
     ];
 
+    /// Those by which the actuator path changes a commanded duty, and nothing else: [`super::effective_duty`].
+    pub const OF_THE_DUTY: [P; 9] = [
+        P::DeadDuty,
+        P::QuantShare,
+        P::QuantSteps,
+        P::QuantDown,
+        P::Saturation,
+        P::GateDuty,
+        P::GateWidth,
+        P::Bend,
+        P::FlatTop,
+    ];
+
     /// The numbers of the user's own effect.
     pub const MINE: [P; MOST_NUMBERS] = [P::Mine0, P::Mine1, P::Mine2, P::Mine3];
 }
