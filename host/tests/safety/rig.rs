@@ -47,6 +47,8 @@ struct Common {
     wanted: VecDeque<Do>,
     /// When a thread that wanted to run was kept from it, µs: from, to.
     kept_us: Vec<(u64, u64)>,
+    /// When the board stood still for longer than two turns, µs: from, to.
+    stood_us: Vec<(u64, u64)>,
 }
 
 pub struct Rig {
@@ -59,6 +61,9 @@ pub struct Rig {
 
 /// What a thread that sleeps for a millisecond oversleeps on a machine that does nothing else, µs.
 const OVERSLEPT_US: u64 = 300;
+
+/// A turn of the board, at the most, on a machine that does nothing else, µs.
+const TURN_US: u64 = 2_500;
 
 /// Notes for how long the machine keeps a thread from running that asks for next to nothing.
 fn watch_the_machine(started: Instant, common: &Mutex<Common>, ends: &AtomicBool) {
@@ -125,6 +130,17 @@ impl Rig {
     pub fn kept_us(&self, from_us: u64, to_us: u64) -> u64 {
         let kept = &self.common.lock().unwrap().kept_us;
         kept.iter().map(|&(from, to)| to.min(to_us).saturating_sub(from.max(from_us))).sum()
+    }
+
+    /// For how long at the most the board stood still at some time between two.
+    pub fn stood_us(&self, from_us: u64, to_us: u64) -> u64 {
+        let stood = &self.common.lock().unwrap().stood_us;
+        stood
+            .iter()
+            .filter(|(from, to)| *from <= to_us && *to >= from_us)
+            .map(|(from, to)| to - from)
+            .max()
+            .unwrap_or(0)
     }
 
     pub fn now_us(&self) -> u64 {
@@ -205,13 +221,17 @@ impl Server {
                 Some(what) => self.act(what),
                 None => {}
             }
+            // Before the line is heard, so that the board goes no further than it has heard: to look at a line waits for the kernel's worker
+            // that hands over what has arrived, for half a second on a busy machine.
+            let now_us = self.started.elapsed().as_micros() as u64;
+            self.note_if_it_stood(now_us);
             if let Some(master) = &mut self.line
                 && let Ok(length) = master.read(&mut buffer)
             {
                 self.take(&buffer[..length]);
             }
             self.view();
-            self.board.run_until(self.started.elapsed().as_micros() as u64);
+            self.board.run_until(now_us);
             self.count_runs();
             self.board.received(&mut self.backlog);
             if let Some(master) = &mut self.line
@@ -223,6 +243,13 @@ impl Server {
             let excess = self.backlog.len().saturating_sub(1 << 18);
             self.backlog.drain(..excess);
             std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn note_if_it_stood(&self, now_us: u64) {
+        let since_us = self.board.now_us();
+        if now_us > since_us + 2 * TURN_US {
+            self.common.lock().unwrap().stood_us.push((since_us, now_us));
         }
     }
 

@@ -59,12 +59,14 @@ pub fn serve(setup: Setup, stop: &AtomicBool, announce: impl FnOnce(&str)) -> io
     let mut backlog: Vec<u8> = Vec::new();
     let mut buffer = [0; 4096];
     while !stop.load(Ordering::Relaxed) {
+        // Before the line is heard: a board goes no further than it has heard, and the kernel may be long about handing over what has arrived.
+        let now_us = start_us + started.elapsed().as_micros() as u64;
         match line.board.read(&mut buffer) {
             Ok(length) => board.send(&buffer[..length]),
             Err(error) if is_idle(&error) => {}
             Err(error) => return Err(error),
         }
-        board.run_until(start_us + started.elapsed().as_micros() as u64);
+        board.run_until(now_us);
         board.received(&mut backlog);
         if !backlog.is_empty() {
             match line.board.write(&backlog) {
