@@ -27,8 +27,9 @@ impl Verdict {
         let any = |s: Status| findings.iter().any(|f| f.status == s);
         match (any(Status::Named), any(Status::Ambiguous), unknown.is_empty()) {
             (true, _, _) => Self::Named,
-            (_, true, _) => Self::Ambiguous,
+            // Beside what no effect explains, possible causes are no answer.
             (_, _, false) => Self::Unknown,
+            (_, true, _) => Self::Ambiguous,
             _ => Self::None,
         }
     }

@@ -23,11 +23,10 @@ pub const FORM_ERROR: f64 = 0.06;
 const MEDIANS: Taus = [0.012, 0.006, 0.003, 0.003, 0.003];
 const LOG_SDS: Taus = [0.5, 0.45, 0.25, 0.35, 0.35];
 
-/// Or something that nobody knows lives there, some per cent large: a term without physics over the duty, the direction, both or the order, at what
-/// one costs. Effects of the library are forms over the duty and over the direction; over the order they go one way, and what comes and
-/// goes with it is none of theirs.
+/// Or something that nobody knows lives there, some per cent large: a term without physics, at what one costs. Effects of the library are forms
+/// over the duty and over the direction; over the order they go one way, and what comes and goes with it is none of theirs.
 const UNKNOWN: (f64, f64) = (0.03, 0.7);
-const UNKNOWN_COSTS: Taus = [f64::INFINITY, FREE_FORM_COST, FREE_FORM_COST, TERM_COST, TERM_COST];
+const UNKNOWN_COSTS: Taus = [f64::INFINITY, FREE_FORM_COST, FREE_FORM_COST, FREE_FORM_COST, TERM_COST];
 
 /// Standard deviation of the gain that all runs share: the free speed was refitted.
 const COMMON: f64 = 0.1;
