@@ -76,14 +76,14 @@ impl Equations {
         [before - after, before]
     }
 
-    /// The speeds, which are the first column, squared and summed: rpm²·s.
-    pub fn squared_speeds(&self) -> f64 {
-        self.runs.iter().map(|r| r.g[(0, 0)]).sum()
+    /// The speeds of each run, which are the first column, squared and summed: rpm²·s.
+    pub fn squared_speeds(&self) -> Vec<f64> {
+        self.runs.iter().map(|r| r.g[(0, 0)]).collect()
     }
 
     /// Squared error in rpm²·s that is none: what any equation misses of the speeds.
     pub fn floor(&self) -> f64 {
-        MODEL_FLOOR * MODEL_FLOOR * self.squared_speeds()
+        MODEL_FLOOR * MODEL_FLOOR * self.squared_speeds().iter().sum::<f64>()
     }
 }
 

@@ -95,6 +95,12 @@ impl Level {
         c
     }
 
+    /// Share of what the gain of run `run` scatters by that is of spread `spread`.
+    pub fn share(&self, taus: &Taus, spread: usize, run: usize) -> f64 {
+        let of = |k: usize| taus[k] * taus[k] * self.kernels[k][(run, run)];
+        of(spread) / (0..taus.len()).map(of).sum::<f64>().max(f64::MIN_POSITIVE)
+    }
+
     /// Log prior of each spread.
     pub fn log_priors(&self, taus: &Taus) -> Taus {
         let normal = |tau: f64, median: f64, log_sd: f64| -0.5 * ((tau / median).ln() / log_sd).powi(2);

@@ -1,6 +1,7 @@
 //! A set of effects: what is in it, the model with them, and what it weighs.
 
 use super::evidence::Weighed;
+use super::level::Taus;
 use super::library::Phased;
 use super::problem::Model;
 use super::refit::{Free, put_coefficients};
@@ -35,10 +36,10 @@ pub struct Set {
     pub terms: Vec<(&'static str, f64)>,
     /// What courses of each run's own over time or angle would take, the strongest first.
     pub courses: Vec<Course>,
-    /// Root mean square by which the effects have moved the gains of the runs.
-    pub moved: f64,
-    /// The predicted speeds, squared and summed, in rpm²·s.
-    pub squared_speeds: f64,
+    /// Squared error in rpm²·s that the effects remove by moving the gains of the runs, which have taken it up without them.
+    pub by_gains: f64,
+    /// Squared error in rpm²·s that the gains take up, by what they scatter with.
+    pub scattered: Taus,
     /// Whether others were looked for from it.
     pub expanded: bool,
 }
@@ -59,8 +60,8 @@ impl Set {
             belief: self.weighed.belief,
             terms: self.terms.clone(),
             courses: self.courses.clone(),
-            moved: self.moved * self.moved * self.squared_speeds,
-            squared_speeds: self.squared_speeds,
+            by_gains: self.by_gains,
+            scattered: self.scattered,
         }
     }
 }

@@ -49,9 +49,9 @@ pub struct Visited {
     /// Share of the squared error left that a course of each run's own would take, by the term's name.
     pub courses: Vec<Course>,
     /// Squared error in rpm²·s that the effects remove by moving the gains of the runs, which is not in `left`.
-    pub moved: f64,
-    /// The speeds, squared and summed, in rpm²·s: gains that scatter by a share are its square of it.
-    pub squared_speeds: f64,
+    pub by_gains: f64,
+    /// Squared error in rpm²·s that the gains take up, by what they scatter with.
+    pub scattered: Taus,
 }
 
 /// What a course of each run's own would take beside a set.
@@ -254,12 +254,10 @@ fn left_without_cause(
 ) -> Vec<(&'static str, f64)> {
     let after = best.terms.last().map_or(best.left, |t| t.1);
     let beyond = |k: &usize| best.belief[*k] < -LARGEST_SPREAD && best.taus[*k] > 0.01;
-    let spreads: Vec<(&'static str, f64)> = (0..NAMES.len())
-        .filter(beyond)
-        .map(|k| (NAMES[k], best.taus[k] * best.taus[k] * best.squared_speeds))
-        .collect();
+    let spreads: Vec<(&'static str, f64)> =
+        (0..NAMES.len()).filter(beyond).map(|k| (NAMES[k], best.scattered[k])).collect();
     let by_spreads: f64 = spreads.iter().map(|s| s.1).sum();
-    let removed = (root.left - after + best.moved + by_spreads).max(1e-12);
+    let removed = (root.left - after + best.by_gains + by_spreads).max(1e-12);
     let mut before = best.left;
     let mut lives_in = Vec::new();
     for (place, left) in &best.terms {
@@ -295,8 +293,8 @@ mod tests {
             belief: [0.0; 5],
             terms: Vec::new(),
             courses: Vec::new(),
-            moved: 0.0,
-            squared_speeds: 0.0,
+            by_gains: 0.0,
+            scattered: [0.0; 5],
         }
     }
 
@@ -374,14 +372,14 @@ mod tests {
     /// Fails if a name stands beside gains that scatter with the order for more than what it explains, or falls for less.
     #[test]
     fn a_spread_of_the_gains_counts_as_what_it_removes() {
-        let withheld = |spread: f64| {
+        let withheld = |scattered: f64| {
             let [mut best, mut root] = [set(&[0], 100.0, 10.0), set(&[], 0.0, 20.0)];
             for set in [&mut best, &mut root] {
-                (set.taus[4], set.belief[4], set.squared_speeds) = (spread, -2.0 * LARGEST_SPREAD, 1e4);
+                (set.taus[4], set.belief[4], set.scattered[4]) = (0.05, -2.0 * LARGEST_SPREAD, scattered);
             }
             judged(&[best, root]).withheld
         };
-        assert!(withheld(0.05) && !withheld(0.02));
+        assert!(withheld(25.0) && !withheld(4.0));
     }
 
     /// Fails if a name stands beside a course of each run's own that is as large as what it explains, where both lie within the runs.

@@ -82,6 +82,15 @@ impl Ground<'_> {
                 .unwrap_or_else(failed);
         }
         let beside = scale.terms(&weighed, without);
+        let speeds = scale.equations.squared_speeds();
+        let gains = || weighed.gains.iter().zip(&speeds).enumerate();
+        let removed = |(i, (gain, square)): (usize, (&f64, &f64))| {
+            root.map_or(0.0, |r| (gain - r.weighed.gains[i]).powi(2) * square)
+        };
+        let scattered = std::array::from_fn(|k| {
+            gains().map(|(i, (gain, square))| gain * gain * square * self.level.share(&weighed.taus, k, i)).sum()
+        });
+        let by_gains = gains().map(removed).sum();
         let prior = self.log_prior(&model, &parts);
         let amplitude: f64 = weighed
             .powers
@@ -101,8 +110,8 @@ impl Ground<'_> {
             weighed,
             terms: beside.left,
             courses: beside.courses,
-            moved,
-            squared_speeds: scale.equations.squared_speeds(),
+            by_gains,
+            scattered,
             expanded: false,
         }
     }

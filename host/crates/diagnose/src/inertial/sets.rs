@@ -76,8 +76,8 @@ impl Set {
             terms: self.terms.clone(),
             courses: self.courses.clone(),
             // Runs of an ordinary motor differ by chance alone, see `Level::by_chance`.
-            moved: 0.0,
-            squared_speeds: 0.0,
+            by_gains: 0.0,
+            scattered: [0.0; 5],
         }
     }
 }
