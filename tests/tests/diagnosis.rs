@@ -274,11 +274,21 @@ fn parameters_come_with_intervals_that_mean_something() {
     );
 }
 
-/// Fails if something without a cause gets a name, or is overlooked.
+/// Fails if something without a cause gets a name, or is overlooked, or is not described over the coordinate that it hangs on.
 #[test]
 fn what_no_effect_explains_is_unknown() {
     let d = through_a_folder(&[hide("outside-cogging", 1.5, 13)], 13, &[]);
     assert_eq!(d.verdict, Verdict::Unknown, "{:?} {:?}", d.suspected(), d.unknown);
+    let json = serde_json::to_value(&d).expect("an answer always serialises");
+    let strongest = &json["described"][0];
+    assert!(strongest["coordinate"].as_str().is_some_and(|c| c.contains("angle")), "{strongest}");
+    assert!(strongest["equation"].as_str().is_some_and(|e| e.contains("a7·cos(7θ")), "{strongest}");
+    let numbers = strongest["parameters"].as_object().expect("numbers by name");
+    assert!(
+        !numbers.is_empty() && numbers.values().all(|n| n["ci95"][1].as_f64() > n["ci95"][0].as_f64()),
+        "{strongest}"
+    );
+    assert!(strongest["gain_heldout"].as_f64().is_some_and(|g| g > 0.0), "{strongest}");
 }
 
 /// A notch in the speed-duty line around one duty is overlooked: the answer is `none`. At least nothing gets its name.

@@ -3,7 +3,7 @@
 use super::figure::{Figure, Panel};
 use super::page::Page;
 use crate::diagnose::Details;
-use crate::diagnose::answer::{Diagnosis, text};
+use crate::diagnose::answer::{DescribedAnswer, Diagnosis, ParameterAnswer, text};
 use crate::diagnose::conclusion::Outcome;
 use crate::diagnose::inertial::InertialOutcome;
 use crate::diagnose::problem::Problem;
@@ -47,6 +47,10 @@ pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Page {
     let header =
         ["effect", "status", "probability", "held-out gain (%)", "95 % interval", "p of chance", "as good", "note"];
     page = page.table(&header, &rows);
+    if !d.described.is_empty() {
+        page =
+            page.heading("Without a cause").table(&["over", "equation", "numbers", "held-out gain (%)"], &described(d));
+    }
     page = page.heading("Error budget");
     let mut rows: Vec<Vec<String>> = d
         .effects
@@ -64,6 +68,20 @@ pub fn page(title: &str, d: &Diagnosis, details: Option<&Details>) -> Page {
         "Every random choice (hold-out, bootstrap, null) is drawn from seed {}; the same seed gives the same answer.",
         d.seed
     ))
+}
+
+/// The terms that name no cause, a row each.
+fn described(d: &Diagnosis) -> Vec<Vec<String>> {
+    let number = |(name, p): (&String, &ParameterAnswer)| {
+        let unit = if p.unit == "1" { "" } else { &p.unit };
+        format!("{name} = {:.4} [{:.4}, {:.4}] {unit}", p.value, p.ci95[0], p.ci95[1])
+    };
+    let row = |t: &DescribedAnswer| {
+        let numbers: Vec<String> = t.parameters.iter().map(number).collect();
+        let gain = format!("{:.1}", 100.0 * t.gain_heldout);
+        vec![t.coordinate.clone(), t.equation.clone(), numbers.join(", "), gain]
+    };
+    d.described.iter().map(row).collect()
 }
 
 /// What was found, in one sentence: of an answer as its JSON has it.

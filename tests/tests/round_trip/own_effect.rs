@@ -2,12 +2,12 @@
 
 use super::mirror::{DUTIES, Design, FLAVOUR, difference, measurement, traces};
 use std::sync::Arc;
-use twum_host::diagnose::answer::Diagnosis;
+use twum_host::diagnose::answer::{Diagnosis, Verdict};
 use twum_host::diagnose::motor::free_speed;
 use twum_host::diagnose::saved::file;
 use twum_host::diagnose::{Details, Options, diagnose};
 use twum_host::model::effects::EffectSet;
-use twum_host::model::hypothesis::Mine;
+use twum_host::model::hypothesis::{ActsOn, Mine, Now};
 use twum_host::model::motor::{Motor, parse_hypothesis};
 use twum_host::model::parameters::Parameters;
 
@@ -44,7 +44,8 @@ fn speed_per_voltage() -> f64 {
     (speed(1.1) - speed(0.9)) / 0.2 / speed(1.0)
 }
 
-fn asked(effects: &EffectSet, mine: Option<&str>) -> (Diagnosis, Details, f64) {
+/// The answer, the saved motor, and by how much its runs miss those that were diagnosed.
+fn asked(effects: &EffectSet, mine: Option<&str>) -> (Diagnosis, Motor, f64) {
     let design = Design { duties: DUTIES, trials: 2, seconds: 1.5 };
     let motor = Motor::pcbmotor_30mm();
     let made = traces(design, motor.parameters(FLAVOUR), effects);
@@ -60,7 +61,8 @@ fn asked(effects: &EffectSet, mine: Option<&str>) -> (Diagnosis, Details, f64) {
     let saved =
         Motor::parse("saved.toml", &text).unwrap_or_else(|e| panic!("a saved model is a motor file: {e}\n{text}"));
     let replayed = traces(design, saved.parameters(FLAVOUR), &saved.effects());
-    (d, details, difference(&made, &replayed))
+    let off = difference(&made, &replayed);
+    (d, saved, off)
 }
 
 fn found_saved_and_repeated(text: &str, values: &[f64], number: &str) {
@@ -94,4 +96,37 @@ fn thorough_a_formula_over_time_is_found_saved_and_repeats_the_data() {
 fn a_formula_that_the_data_do_not_show_is_no_cause() {
     let (d, ..) = asked(&EffectSet::default(), Some(SWING));
     assert!(d.suspected().is_empty(), "{:?}", d.suspected());
+}
+
+/// Poles of the contact, five to the turn: nothing in the library goes with the angle more than four times a turn.
+const POLES: &str = r#"
+[effects.mine]
+acts_on = "speed"
+change = "depth*cos(5*turned_rad - 1)"
+[effects.mine.numbers]
+depth = { typical = 0.1, min = -0.5, max = 0.5 }
+"#;
+
+/// Fails if what has no cause is described over another coordinate, with another size or phase, or if the saved motor does not have it.
+#[test]
+fn what_has_no_cause_is_described_and_saved() {
+    let depth = 0.08;
+    let effects = hidden(POLES, &[depth]);
+    let (d, saved, off) = asked(&effects, None);
+    assert_eq!(d.verdict, Verdict::Unknown, "{:?}", d.suspected());
+    let strongest = &d.described[0];
+    assert!(strongest.coordinate.contains("angle") && strongest.equation.contains("cos(5θ"), "{strongest:?}");
+    let amplitude = &strongest.parameters["a5"];
+    let size = depth * speed_per_voltage();
+    assert!((amplitude.value / size - 1.0).abs() < 0.15, "{amplitude:?}, hidden {size}");
+    assert!(amplitude.ci95[0] < size && size < amplitude.ci95[1], "{amplitude:?}, hidden {size}");
+    assert!(strongest.gain_heldout > 0.2, "{strongest:?}");
+    let saved_effects = saved.effects();
+    let (is, was) = (saved_effects.described.expect("it is saved"), effects.mine.expect("it was hidden"));
+    for k in 0..40 {
+        let now = Now { turned_rad: 0.15 * f64::from(k), direction: 1.0, ..Now::default() };
+        let [is, was] = [&is, &was].map(|e| e.voltage_per_speed * e.change_of(ActsOn::Speed, &now));
+        assert!((is - was).abs() < 0.25 * depth, "{now:?}: {is}, hidden {was}");
+    }
+    assert!(off < super::REPEATED, "the saved model is {off} off");
 }

@@ -1,7 +1,7 @@
 //! The answer: what other programs read, and the page a person reads.
 
 use super::conclusion::Outcome;
-use super::finding::{Estimate, Finding, Status, Unknown};
+use super::finding::{Curve, Described, Estimate, Finding, Status, Unknown};
 use super::library::says;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -119,6 +119,39 @@ pub struct UnknownAnswer {
     pub p_null: f64,
 }
 
+/// A term without a cause.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DescribedAnswer {
+    /// Over what.
+    pub coordinate: String,
+    /// What the model gains by it.
+    pub equation: String,
+    /// Its numbers.
+    pub parameters: BTreeMap<String, ParameterAnswer>,
+    /// Held-out gain on top of the extended model.
+    pub gain_heldout: f64,
+    /// The same for a motor file.
+    #[serde(skip)]
+    pub curve: Curve,
+}
+
+impl DescribedAnswer {
+    fn new(d: &Described) -> Self {
+        Self {
+            coordinate: d.coordinate.clone(),
+            equation: d.equation.clone(),
+            parameters: d.parameters.iter().map(parameter).collect(),
+            gain_heldout: d.gain,
+            curve: d.curve.clone(),
+        }
+    }
+}
+
+/// A number as it is answered, by its name.
+fn parameter(e: &Estimate) -> (String, ParameterAnswer) {
+    (e.name.clone(), ParameterAnswer { value: e.value, ci95: e.interval, unit: e.unit.clone() })
+}
+
 /// The whole answer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Diagnosis {
@@ -138,6 +171,9 @@ pub struct Diagnosis {
     pub unexplained_fraction: Option<f64>,
     /// Where something without a cause lives.
     pub unknown: Vec<UnknownAnswer>,
+    /// The strongest of it as equations, which name no cause.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub described: Vec<DescribedAnswer>,
     /// Effects that these runs cannot show, with the reason.
     pub not_judged: BTreeMap<String, String>,
     /// What else must be said.
@@ -158,6 +194,7 @@ impl Diagnosis {
             extended: Scores::default(),
             unexplained_fraction: None,
             unknown: Vec::new(),
+            described: Vec::new(),
             not_judged: BTreeMap::new(),
             notes,
             seed,
@@ -201,6 +238,7 @@ impl Diagnosis {
                     p_null: u.p_null,
                 })
                 .collect(),
+            described: outcome.described.iter().map(DescribedAnswer::new).collect(),
             not_judged: outcome.not_judged.iter().cloned().collect(),
             notes,
             seed,
@@ -242,13 +280,7 @@ pub(super) fn effect_answer(f: &Finding, says: Option<(String, String)>) -> Effe
         gain_heldout: f.gain,
         gain_ci95: f.gain_interval,
         p_null: f.p_null,
-        parameters: f
-            .parameters
-            .iter()
-            .map(|e: &Estimate| {
-                (e.name.clone(), ParameterAnswer { value: e.value, ci95: e.interval, unit: e.unit.clone() })
-            })
-            .collect(),
+        parameters: f.parameters.iter().map(parameter).collect(),
         conflicts_with: f.conflicts.clone(),
         next_experiment: f.next_experiment.clone(),
         probability: f.probability,
@@ -299,6 +331,9 @@ pub fn text(d: &Diagnosis) -> String {
             100.0 * u.gain_heldout,
             u.p_null
         ));
+    }
+    for term in &d.described {
+        line(described(term));
     }
     let near: Vec<&EffectAnswer> = d.effects.iter().filter(|e| e.status == "rejected" && !e.note.is_empty()).collect();
     for e in near {
@@ -352,6 +387,24 @@ fn suspect(e: &EffectAnswer) -> String {
         lines.push(format!("  note          {}", e.note));
     }
     lines.join("\n")
+}
+
+/// What is said of a term without a cause: as many of its largest numbers as a line holds.
+fn described(term: &DescribedAnswer) -> String {
+    let mut largest: Vec<(&String, &ParameterAnswer)> = term.parameters.iter().collect();
+    largest.sort_by(|a, b| b.1.value.abs().total_cmp(&a.1.value.abs()));
+    let number = |(name, p): &(&String, &ParameterAnswer)| {
+        let [value, low, high] = [p.value, p.ci95[0], p.ci95[1]].map(short);
+        format!("{name} = {value} {} (95 %: {low} to {high})", unit(&p.unit)).replace("  ", " ")
+    };
+    let numbers: Vec<String> = largest.iter().take(2).map(number).collect();
+    format!(
+        "Described       over {}: {}; {}. It gains {:.1} % on runs not fitted, and is no cause.",
+        term.coordinate,
+        term.equation,
+        numbers.join(", "),
+        100.0 * term.gain_heldout
+    )
 }
 
 fn unit(u: &str) -> &str {

@@ -1,7 +1,8 @@
 //! From the sets that were visited to what is said of them: verdict, second opinion of runs held out, numbers, left-overs.
 
+use super::described::{describe, term_gain};
 use super::discrepancy::Term;
-use super::finding::{Estimate, Finding, Status, Unknown};
+use super::finding::{Described, Estimate, Finding, Status, Unknown};
 use super::ground::Ground;
 use super::held_out::{Chance, Scorer};
 use super::level::DUTY;
@@ -10,7 +11,7 @@ use super::numbers::estimates;
 use super::problem::{Model, Problem};
 use super::refit::{Noise, objective, refit};
 use super::set::{Part, Set, strip};
-use super::stats::{Group, HeldOut};
+use super::stats::HeldOut;
 use super::verdict::{
     ALIKE, Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, MOST_OF_A_COURSE, NAMED, TEMPERATURE,
     Visited, judge,
@@ -47,6 +48,8 @@ pub struct Outcome {
     pub findings: Vec<Finding>,
     /// What no effect explains.
     pub unknown: Vec<Unknown>,
+    /// The strongest of it in words and numbers.
+    pub described: Vec<Described>,
     /// Effects that could not be judged, with the reason.
     pub not_judged: Vec<(String, String)>,
     /// Noise floor in rpm.
@@ -80,6 +83,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcom
         baseline: root.model.clone(),
         extended: accepted.model.clone(),
         unknown: left_over(ground, &scorer, &standing.judged, best),
+        described: describe(ground, &scorer, accepted, &standing.judged.lives_in),
         held_out,
         findings,
         not_judged: Vec::new(),
@@ -363,18 +367,7 @@ fn left_over(ground: &Ground, scorer: &Scorer, judged: &Judgement, best: &Set) -
         .iter()
         .map(|(place, share)| {
             let term: Option<&Term> = ground.terms.iter().find(|t| t.lives_in == *place);
-            let gain = term.map_or(0.0, |t| {
-                let (grams, free, _) = scorer.equations(best, &t.columns);
-                let own: Vec<usize> = (0..free).collect();
-                let from = grams.columns() - t.columns.len();
-                let columns: Vec<usize> = (from..grams.columns()).collect();
-                let group = if t.own {
-                    Group::Phased(columns.chunks_exact(2).map(|c| [c[0], c[1]]).collect())
-                } else {
-                    Group::Linear(columns)
-                };
-                grams.hold_out(&own, &group).gain()
-            });
+            let gain = term.map_or(0.0, |t| term_gain(scorer, best, t));
             Unknown { lives_in: place, gain, share: *share, p_null: super::verdict::LARGEST_P }
         })
         .collect()

@@ -63,3 +63,35 @@ pub struct Unknown {
     /// Its p-value.
     pub p_null: f64,
 }
+
+/// What lives where no effect explains it, in words and numbers. It is no cause: it says how the runs are, and not why.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Described {
+    /// Over what: the words of [`Unknown::lives_in`], with the plain name of the coordinate in them.
+    pub coordinate: String,
+    /// What the model gains by it.
+    pub equation: String,
+    /// Its numbers, in the order of the coordinate; relative changes of the speed where their unit is 1.
+    pub parameters: Vec<Estimate>,
+    /// Held-out gain on top of the extended model.
+    pub gain: f64,
+    /// The same for the motor model.
+    pub curve: Curve,
+}
+
+/// A relative change of the speed over what the motor model's formulas know.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Curve {
+    /// At times since the drive began in s, in between linear.
+    Time(Vec<[f64; 2]>),
+    /// At duties, in between linear.
+    Duty(Vec<[f64; 2]>),
+    /// Where the direction is positive; the opposite in the other one.
+    Direction(f64),
+    /// The same at duties, in between linear.
+    DutyAndDirection(Vec<[f64; 2]>),
+    /// Orders of a turn with amplitude and phase (rad): `amplitude·cos(order·angle − phase)`.
+    Angle(Vec<[f64; 3]>),
+    /// Over something else.
+    Elsewhere,
+}

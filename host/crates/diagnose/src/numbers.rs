@@ -8,8 +8,8 @@ use super::rotor::P;
 use super::set::{Part, Set};
 use twum_fit::quantile::{NORMAL_95, student_95};
 
-/// Share of a number by which the library's form of an effect and the real one may disagree on it.
-const FORM: f64 = 0.04;
+/// Share of a number by which the library's form of an effect, or what a term describes between two edges, and the real one may disagree on it.
+pub(super) const FORM: f64 = 0.04;
 
 /// Names of the amplitudes of a runout, by harmonic.
 const RUNOUT: [&str; 4] = ["once_a_turn", "twice_a_turn", "three_times_a_turn", "four_times_a_turn"];

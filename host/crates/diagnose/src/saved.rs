@@ -1,6 +1,7 @@
 //! What was found, as a motor file: the refitted motor with the accepted effects in the motor model's own terms.
 
 use super::answer::Diagnosis;
+use super::formula;
 use super::library::library;
 use super::motor::{free_speed, refitted};
 use super::problem::{Model, Problem};
@@ -70,6 +71,11 @@ impl Conversion {
         }
         let side = |range| self.sized(slope, shares, range, &|p, x| p.force_factor_n_v *= (1.0 + x).max(1e-3));
         if slope < 0.0 { side((-0.6, 0.0)) } else { side((0.0, 0.6)) }
+    }
+
+    /// The relative change of the voltage for one of the speed, of the size that effects have.
+    fn voltage_per_speed(&self) -> Option<f64> {
+        self.voltage(-SMALL_CHANGE, &up_to(1.0)).map(|v| v / -SMALL_CHANGE)
     }
 
     /// The change of the drive frequency over the resonance in Hz that changes the speed by `slope`.
@@ -265,13 +271,27 @@ fn own(mine: &Arc<Hypothesis>, convert: &Conversion, extended: &Model) -> Result
     if !mine.is_there(values) {
         return Err("it cannot be told from another one here, which was fitted in its place");
     }
-    let voltage_per_speed = if mine.acts_on == ActsOn::Speed {
-        let side = |slope: f64| convert.voltage(slope, &up_to(1.0)).map(|v| v / slope);
-        side(-SMALL_CHANGE).ok_or(NOT_REACHED)?
-    } else {
-        1.0
-    };
+    let voltage_per_speed =
+        if mine.acts_on == ActsOn::Speed { convert.voltage_per_speed().ok_or(NOT_REACHED)? } else { 1.0 };
     Ok(Mine { hypothesis: mine.clone(), values: values.to_vec(), voltage_per_speed })
+}
+
+/// What was described, marked as no cause, in place of what a former diagnosis described; where it cannot be said, why, in the file's head.
+fn describe(out: &mut Motor, convert: &Conversion, diagnosis: &Diagnosis, head: &mut String) {
+    out.effects.remove(hypothesis::DESCRIBED);
+    for term in &diagnosis.described {
+        let _ = writeln!(head, "#   no cause, over {}: {}", term.coordinate, term.equation);
+    }
+    let (effect, left) = match convert.voltage_per_speed() {
+        Some(voltage_per_speed) => formula::effect(&diagnosis.described, voltage_per_speed),
+        None => (None, diagnosis.described.iter().map(|t| (t.coordinate.as_str(), NOT_REACHED)).collect()),
+    };
+    if let Some(effect) = effect {
+        out.effects.insert(hypothesis::DESCRIBED.to_owned(), Listed::Mine(effect));
+    }
+    for (coordinate, why) in left {
+        let _ = writeln!(head, "# Not in this file: what was described over {coordinate}; {why}.");
+    }
 }
 
 /// The root of a function between two values, if it changes sign between them.
@@ -346,6 +366,7 @@ pub fn file(
             }
         }
     }
+    describe(&mut out, &convert, diagnosis, &mut text);
     text.push_str(&out.to_toml()?);
     Ok(text)
 }
@@ -353,9 +374,14 @@ pub fn file(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::finding::{Estimate, Finding, Status};
+    use crate::answer::DescribedAnswer;
+    use crate::finding::{Curve, Estimate, Finding, Status};
     use crate::motor::rates;
+    use std::collections::BTreeMap;
     use twum_motor::effects::SupplySag;
+    use twum_motor::motor_plant::{History, Solver};
+    use twum_motor::plant::Direction;
+    use twum_motor::simulate::{PlantModel, Program, simulate};
 
     fn found(name: &str, parameters: Vec<(&str, f64)>) -> Finding {
         Finding {
@@ -409,5 +435,56 @@ mod tests {
         let ratio = free_speed(weaker, flavour) / free_speed(saved.parameters(flavour), flavour);
         // The best line through the model's curve is not on it everywhere.
         assert!((ratio - 0.8).abs() < 0.02, "{ratio}");
+    }
+
+    fn no_cause(coordinate: &str, curve: Curve) -> DescribedAnswer {
+        DescribedAnswer {
+            coordinate: coordinate.into(),
+            equation: "speed·(1 + c)".into(),
+            parameters: BTreeMap::new(),
+            gain_heldout: 0.1,
+            curve,
+        }
+    }
+
+    /// Fails if the motor of a saved model does not show what was described, if it shows what an earlier diagnosis described, or if the file
+    /// does not say that none of it is a cause.
+    #[test]
+    fn what_was_described_is_simulated_and_named_no_cause() {
+        let flavour = Flavour::Physical;
+        let bare = Motor::pcbmotor_30mm();
+        let p = bare.parameters(flavour);
+        let [drive, brake, viscous] = rates(&p);
+        let problem = Problem::new(Vec::new());
+        let model = problem.model(Rotor::new(free_speed(p, flavour), drive, brake, viscous, 0.02));
+        let saved = |motor: &Motor, described: Vec<DescribedAnswer>| {
+            let diagnosis = Diagnosis { described, ..Diagnosis::impossible(Vec::new(), 1) };
+            let text = file(motor, flavour, &model, &problem, &diagnosis).expect("it can be written");
+            (Motor::parse("saved.toml", &text).expect("a saved model is a motor file"), text)
+        };
+        let curve = Curve::DutyAndDirection(vec![[0.5, 0.0], [1.0, -0.08]]);
+        let (described, text) =
+            saved(&bare, vec![no_cause("PWM phase", Curve::Elsewhere), no_cause("duty and direction", curve)]);
+        assert!(text.contains("says = \"no cause: "), "{text}");
+        assert!(text.contains("# Not in this file: what was described over PWM phase"), "{text}");
+        let (none, _) = saved(&described, Vec::new());
+        let turned = |motor: &Motor, duty: f64, direction: Direction| {
+            let parameters = motor.parameters(flavour);
+            let model = PlantModel::Motor { parameters, flavour, solver: Solver::Averaged };
+            simulate(&Program::constant(duty, direction, 0.6, 0.6), &model, &motor.effects(), History::default())
+                .end_rad
+        };
+        let ratio = |duty, direction| turned(&described, duty, direction) / turned(&none, duty, direction);
+        for (duty, direction, expected) in [
+            (1.0, Direction::Cw, 0.92),
+            (1.0, Direction::Ccw, 1.08),
+            (0.75, Direction::Cw, 0.96),
+            (0.5, Direction::Cw, 1.0),
+            (0.2, Direction::Cw, 1.0),
+        ] {
+            // The voltage is converted for a tenth less of the speed, which is not linear in it.
+            let found = ratio(duty, direction);
+            assert!((found - expected).abs() < 0.012, "{duty} {direction:?}: {found}, not {expected}");
+        }
     }
 }

@@ -24,7 +24,7 @@ pub fn effective_duty(effects: &EffectSet, duty: f64, direction: Direction) -> f
     if u == 0.0 {
         return u;
     }
-    if let Some(mine) = &effects.mine {
+    for mine in [&effects.mine, &effects.described].into_iter().flatten() {
         u = (u + mine.change_of(ActsOn::Duty, &Now { duty, direction: f64::from(direction.sign()), ..Now::default() }))
             .clamp(0.0, 1.0);
     }

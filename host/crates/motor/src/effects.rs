@@ -141,6 +141,8 @@ macro_rules! effects {
             $( #[doc = concat!("`", $name, "`.")] pub $slot: Option<$type>, )+
             /// The user's own.
             pub mine: Option<Mine>,
+            /// What a diagnosis described without a cause.
+            pub described: Option<Mine>,
         }
 
         impl EffectSet {
@@ -431,12 +433,10 @@ impl PreloadRunout {
             (self.amplitude_3, self.phase_3_rad),
             (self.amplitude_4, self.phase_4_rad),
         ];
-        let mut k = 0.0;
         let mut sum = 0.0;
-        for (amplitude, phase) in harmonics {
-            k += 1.0;
+        for (k, (amplitude, phase)) in (1..).zip(harmonics) {
             if amplitude != 0.0 {
-                sum += amplitude * (k * angle_rad - phase).cos();
+                sum += amplitude * (f64::from(k) * angle_rad - phase).cos();
             }
         }
         sum
@@ -452,12 +452,10 @@ impl EncoderEccentricity {
             (self.amplitude_3_rad, self.phase_3_rad),
             (self.amplitude_4_rad, self.phase_4_rad),
         ];
-        let mut k = 0.0;
         let mut sum = 0.0;
-        for (amplitude, phase) in harmonics {
-            k += 1.0;
+        for (k, (amplitude, phase)) in (1..).zip(harmonics) {
             if amplitude != 0.0 {
-                sum += amplitude * (k * shaft_rad - phase).sin();
+                sum += amplitude * (f64::from(k) * shaft_rad - phase).sin();
             }
         }
         sum

@@ -11,7 +11,8 @@
 //! tau = { start = 1.0, min = 0.1, max = 20.0 } # a number of the form
 //! ```
 //!
-//! A diagnosis fits the numbers; the file that it saves holds the `value` of each, and simulates.
+//! A diagnosis fits the numbers; the file that it saves holds the `value` of each, and simulates. What it describes without a cause
+//! is saved in the same form, as `[effects.described]`.
 
 use exmex::{Express, FlatEx, FloatOpsFactory, MatchLiteral, literal_matcher_from_pattern};
 use serde::ser::{Serialize, SerializeMap, Serializer};
@@ -19,6 +20,8 @@ use std::sync::Arc;
 
 /// The name of a user's own effect, in files and in answers.
 pub const NAME: &str = "mine";
+/// The name in files of what a diagnosis describes and has no cause for: a formula like a user's own.
+pub const DESCRIBED: &str = "described";
 
 /// What a formula may hang on, in the order of the fields of [`Now`].
 pub const VARIABLES: [(&str, &str); 7] = [
@@ -39,7 +42,7 @@ literal_matcher_from_pattern!(Decimal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0
 type Formula = FlatEx<f64, FloatOpsFactory<f64>, Decimal>;
 
 /// Longest formula in characters: its parser calls itself for every parenthesis.
-const LONGEST: usize = 500;
+pub const LONGEST: usize = 500;
 /// A change beyond which the formula is no small correction of the model, which is bounded there (1).
 const LARGEST_CHANGE: f64 = 3.0;
 

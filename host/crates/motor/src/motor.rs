@@ -20,7 +20,7 @@
 //! [measured.uoff]           # optional: where the measured flavour differs
 //! value = 0.0144
 //!
-//! [effects.dead-zone]       # optional: effects of the catalogue that this motor has, and [effects.mine], one's own
+//! [effects.dead-zone]       # optional: effects of the catalogue that this motor has, [effects.mine] and [effects.described]
 //! threshold_duty = 0.05
 //! ```
 
@@ -86,7 +86,7 @@ pub struct Motor {
 pub enum Listed {
     /// One of the [`super::effects::CATALOGUE`], with its parameters by name.
     Known(BTreeMap<String, f64>),
-    /// The user's own.
+    /// The user's own, or what was described without a cause.
     Mine(Mine),
 }
 
@@ -270,7 +270,7 @@ impl<'a> Reader<'a> {
         for (flavour, prefix) in
             [(Flavour::Thesis, "parameters"), (Flavour::Physical, "physical"), (Flavour::Measured, "measured")]
         {
-            motor.assemble(flavour).check().map_err(|error| {
+            motor.parameters(flavour).check().map_err(|error| {
                 let name = match &error {
                     ParameterError::OutOfBounds { name, .. } => name,
                     ParameterError::NotWhole { .. } => "n",
@@ -290,7 +290,7 @@ impl<'a> Reader<'a> {
         }
         if let Some(value) = table.get("lambda") {
             let stated = self.number("lambda", value)?;
-            let computed = motor.assemble(Flavour::Thesis).wavelength_m();
+            let computed = motor.parameters(Flavour::Thesis).wavelength_m();
             if (stated / computed - 1.0).abs() > 1e-3 {
                 let problem =
                     format!("is {stated} m, but 2π·R0/n of this file is {computed:.6} m; one of the three is wrong");
@@ -324,8 +324,8 @@ impl<'a> Reader<'a> {
         for (name, value) in listed {
             let key = format!("effects.{}", name.get_ref());
             let at = name.span().start;
-            if name.get_ref() == hypothesis::NAME {
-                out.insert(hypothesis::NAME.to_owned(), Listed::Mine(self.mine(value)?));
+            if [hypothesis::NAME, hypothesis::DESCRIBED].iter().any(|own| name.get_ref() == own) {
+                out.insert(name.get_ref().to_string(), Listed::Mine(self.mine(&key, value)?));
                 continue;
             }
             let info = info(name.get_ref()).map_err(|error| self.key(&*key, at, format!("will not do: {error}")))?;
@@ -368,6 +368,7 @@ fn effect_set(listed: &BTreeMap<String, Listed>) -> EffectSet {
                     let _ = place(&mut set, info, values);
                 }
             }
+            Listed::Mine(mine) if name == hypothesis::DESCRIBED => set.described = Some(mine.clone()),
             Listed::Mine(mine) => set.mine = Some(mine.clone()),
         }
     }
@@ -456,7 +457,11 @@ impl Motor {
 
     /// The parameters in a flavour.
     pub fn parameters(&self, flavour: Flavour) -> Parameters {
-        self.assemble(flavour)
+        let mut values = [0.0; 20];
+        for (value, spec) in values.iter_mut().zip(&SPECS) {
+            *value = self.entry(flavour, spec.name).unwrap_or(&self.parameters[spec.name]).value;
+        }
+        Parameters::from_array(values)
     }
 
     /// Sets a number of an effect of the catalogue, which is listed if it was not.
@@ -470,14 +475,6 @@ impl Motor {
     /// The effects the file lists.
     pub fn effects(&self) -> EffectSet {
         effect_set(&self.effects)
-    }
-
-    fn assemble(&self, flavour: Flavour) -> Parameters {
-        let mut values = [0.0; 20];
-        for (value, spec) in values.iter_mut().zip(&SPECS) {
-            *value = self.entry(flavour, spec.name).unwrap_or(&self.parameters[spec.name]).value;
-        }
-        Parameters::from_array(values)
     }
 
     /// What the file says of a parameter in a flavour; none for a name that is not in [`SPECS`].

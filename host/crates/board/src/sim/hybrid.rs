@@ -76,6 +76,7 @@ impl Setup {
             let _ = effects.set(info.name, &values);
         }
         effects.mine = hidden.mine.clone().or(effects.mine);
+        effects.described = hidden.described.clone().or(effects.described);
         for (info, _) in effects.present() {
             let name = info.name;
             let reason = match name {

@@ -20,21 +20,21 @@ pub fn parse_hypothesis(file: &str, text: &str) -> Result<Hypothesis, MotorError
     };
     reader.known("effects.", effects, &[NAME])?;
     match effects.get(NAME) {
-        Some(value) => Ok(reader.hypothesis(value)?.0),
+        Some(value) => Ok(reader.hypothesis("effects.mine", value)?.0),
         None => Err(reader.key("effects.mine", 0, "is missing")),
     }
 }
 
 impl Reader<'_> {
-    /// A user's own effect with the values of its numbers, which a motor's file has to give.
-    pub(super) fn mine(&self, value: &Spanned<DeValue<'_>>) -> Result<Mine, MotorError> {
-        let (hypothesis, values, voltage_per_speed) = self.hypothesis(value)?;
+    /// A formula under `key` with the values of its numbers, which a motor's file has to give.
+    pub(super) fn mine(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<Mine, MotorError> {
+        let (hypothesis, values, voltage_per_speed) = self.hypothesis(key, value)?;
         let numbers = hypothesis.numbers.iter().zip(values);
         let values = numbers.map(|(n, v)| {
             v.ok_or_else(|| {
                 let problem =
                     "is missing: without it this is a hypothesis, which `twum diagnose FOLDER --effect FILE` fits";
-                self.key(format!("effects.mine.numbers.{}.value", n.name), value.span().start, problem)
+                self.key(format!("{key}.numbers.{}.value", n.name), value.span().start, problem)
             })
         });
         let values = values.collect::<Result<Vec<_>, _>>()?;
@@ -42,38 +42,46 @@ impl Reader<'_> {
     }
 
     /// The hypothesis, the values of its numbers where they are given, and the voltage for a change of the speed.
-    fn hypothesis(&self, value: &Spanned<DeValue<'_>>) -> Result<(Hypothesis, Vec<Option<f64>>, f64), MotorError> {
-        const KEY: &str = "effects.mine";
+    fn hypothesis(
+        &self,
+        key: &str,
+        value: &Spanned<DeValue<'_>>,
+    ) -> Result<(Hypothesis, Vec<Option<f64>>, f64), MotorError> {
         let at = value.span().start;
-        let Some(table) = value.get_ref().as_table() else { return Err(self.key(KEY, at, "must be a table")) };
-        self.known("effects.mine.", table, &["says", "acts_on", "change", "voltage_per_speed", "numbers"])?;
-        let text = |key: &str| table.get(key).map(|v| self.string(&format!("{KEY}.{key}"), v)).transpose();
-        let need = |key: &str| text(key)?.ok_or_else(|| self.key(format!("{KEY}.{key}"), at, "is missing"));
+        let Some(table) = value.get_ref().as_table() else { return Err(self.key(key, at, "must be a table")) };
+        self.known(&format!("{key}."), table, &["says", "acts_on", "change", "voltage_per_speed", "numbers"])?;
+        let text = |of: &str| table.get(of).map(|v| self.string(&format!("{key}.{of}"), v)).transpose();
+        let need = |of: &str| text(of)?.ok_or_else(|| self.key(format!("{key}.{of}"), at, "is missing"));
         let acts_on = need("acts_on")?;
         let Some((_, acts_on)) = ActsOn::ALL.iter().find(|a| a.0 == acts_on) else {
             let known = ActsOn::ALL.map(|a| a.0).join(", ");
             return Err(self.key(
-                format!("{KEY}.acts_on"),
+                format!("{key}.acts_on"),
                 at,
                 format!("is `{acts_on}`; an effect acts on one of {known}"),
             ));
         };
         let numbers = table.get("numbers").and_then(|n| n.get_ref().as_table());
-        let numbers = numbers.ok_or_else(|| self.key(format!("{KEY}.numbers"), at, "must be a table of numbers"))?;
+        let numbers = numbers.ok_or_else(|| self.key(format!("{key}.numbers"), at, "must be a table of numbers"))?;
         let mut read = Vec::new();
         for (name, row) in numbers {
-            read.push(self.number_of_formula(name.get_ref(), row)?);
+            read.push(self.number_of_formula(key, name.get_ref(), row)?);
         }
         read.sort_by_key(|(n, _)| !n.is_size());
         let (numbers, values) = read.into_iter().unzip();
-        let voltage = table.get("voltage_per_speed").map(|v| self.number(&format!("{KEY}.voltage_per_speed"), v));
+        let voltage = table.get("voltage_per_speed").map(|v| self.number(&format!("{key}.voltage_per_speed"), v));
         let hypothesis = Hypothesis::new(&text("says")?.unwrap_or_default(), *acts_on, &need("change")?, numbers)
-            .map_err(|problem| self.key(KEY, at, problem))?;
+            .map_err(|problem| self.key(key, at, problem))?;
         Ok((hypothesis, values, voltage.transpose()?.unwrap_or(1.0)))
     }
 
-    fn number_of_formula(&self, name: &str, row: &Spanned<DeValue<'_>>) -> Result<(Number, Option<f64>), MotorError> {
-        let key = format!("effects.mine.numbers.{name}");
+    fn number_of_formula(
+        &self,
+        key: &str,
+        name: &str,
+        row: &Spanned<DeValue<'_>>,
+    ) -> Result<(Number, Option<f64>), MotorError> {
+        let key = format!("{key}.numbers.{name}");
         let at = row.span().start;
         let Some(table): Option<&DeTable<'_>> = row.get_ref().as_table() else {
             return Err(self.key(key, at, "must be a table with min, max, and typical or start"));
@@ -137,6 +145,31 @@ mod tests {
         assert!((own / half - 1.0).abs() < 1e-9, "{own} rad, at half the duty {half}");
         let without_value = file.replace(", value = 0.5", "");
         assert!(Motor::parse("a.toml", &without_value).unwrap_err().to_string().contains("hypothesis"));
+    }
+
+    /// Fails if what was described takes the place of one's own effect, is lost when it is written, or does nothing beside it.
+    #[test]
+    fn what_was_described_acts_beside_ones_own_effect() {
+        let own = |name: &str, acts_on: &str| {
+            format!(
+                "[effects.{name}]\nacts_on = \"{acts_on}\"\nchange = \"-a*duty\"\n[effects.{name}.numbers]\n\
+                 a = {{ typical = 0.1, min = 0.0, max = 0.5, value = 0.3 }}\n"
+            )
+        };
+        let text = Motor::pcbmotor_30mm().to_toml().unwrap() + &own("mine", "duty") + &own("described", "speed");
+        let motor = Motor::parse("a.toml", &text).unwrap();
+        assert_eq!(Motor::parse("b.toml", &motor.to_toml().unwrap()).unwrap(), motor);
+        let (flavour, all) = (Flavour::Physical, motor.effects());
+        let model = PlantModel::Motor { parameters: motor.parameters(flavour), flavour, solver: Solver::Averaged };
+        let turned = |effects: &EffectSet| {
+            simulate(&Program::constant(0.8, Direction::Cw, 0.5, 0.5), &model, effects, History::default()).end_rad
+        };
+        let [mine, described] = [EffectSet { described: None, ..all.clone() }, EffectSet { mine: None, ..all.clone() }];
+        let [none, mine, described, both] = [&EffectSet::default(), &mine, &described, &all].map(turned);
+        assert!(mine < 0.8 * none && described < 0.9 * none, "{none} {mine} {described}");
+        assert!(both < 0.9 * mine && both < 0.9 * described, "{mine} {described} {both}");
+        let wrong = text.replace("acts_on = \"speed\"", "acts_on = \"weather\"");
+        assert!(Motor::parse("a.toml", &wrong).unwrap_err().to_string().contains("`effects.described.acts_on`"));
     }
 
     /// Fails if a change of the speed does not reach the motor, or reaches it where its formula is 0.

@@ -1,0 +1,201 @@
+//! Terms of which every run has coefficients of its own: harmonics of the angle, each with a phase a run, and a wander over time.
+
+use super::super::design::{Basis, Column};
+use super::super::discrepancy::Term;
+use super::super::finding::{Curve, Estimate};
+use super::super::ground::Ground;
+use super::super::numbers::FORM;
+use super::super::problem::Problem;
+use super::super::refit::columns_of;
+use super::super::set::Set;
+use super::{Said, short};
+use nalgebra::{DMatrix, DVector};
+use twum_fit::quantile::{NORMAL_95, student_95};
+
+/// Most orders that are told.
+const MOST_ORDERS: usize = 3;
+/// Standard deviation of a coefficient from which a run says nothing of it: effects are some per cent of the speed.
+const SAYS_NOTHING: f64 = 0.3;
+/// Smallest diagonal of the normal equations, as a share of the largest: of columns that a run does not show.
+const NEGLIGIBLE: f64 = 1e-9;
+/// Length of the mean of the runs' unit phases from which they are said to agree: within half a radian of each other.
+const AGREE: f64 = 0.9;
+/// Runs from which phases that agree do so by no chance: of four, once in a thousand.
+const FEWEST_THAT_AGREE: usize = 4;
+
+/// What one run has of a term.
+struct Own {
+    run: usize,
+    coefficients: DVector<f64>,
+    /// What its sampling makes of them.
+    covariance: DMatrix<f64>,
+}
+
+/// The term in words and numbers.
+pub fn own(ground: &Ground, set: &Set, term: &Term) -> Said {
+    let fits = fitted(ground, set, term);
+    if term.harmonic { harmonics(ground.problem, term, &fits) } else { wander(ground.problem, term, &fits) }
+}
+
+/// Coefficients of every run, beside a gain of its own, a free speed of its own and the pairs of the set.
+fn fitted(ground: &Ground, set: &Set, term: &Term) -> Vec<Own> {
+    let mut columns = columns_of(&ground.free(&set.model, &set.parts)[..1]);
+    if term.harmonic {
+        // A wander has it: its hats add up to the speed.
+        columns.push(Column::Flexible(Basis::Time(0, 1)));
+    }
+    columns.extend(set.parts.iter().flat_map(|p| &p.phased).flat_map(|p| p.columns()));
+    let from = columns.len();
+    columns.extend(term.columns.iter().cloned());
+    let designs = ground.problem.design(&set.model, &columns);
+    let runs = ground.problem.runs.iter().zip(designs).enumerate();
+    runs.filter_map(|(run, (observed, d))| {
+        let x = DMatrix::from_row_slice(d.y.len(), d.columns, &d.x);
+        let y = DVector::from_column_slice(&d.y);
+        let mut g = x.tr_mul(&x);
+        let ridge = NEGLIGIBLE * g.diagonal().max();
+        (0..d.columns).for_each(|k| g[(k, k)] += ridge);
+        let chol = g.cholesky()?;
+        let all = chol.solve(&x.tr_mul(&y));
+        let left = (&y - &x * &all).norm_squared();
+        // Windows overlap: as many say something as lie apart.
+        let freedom = (observed.apart() - d.columns as f64).max(1.0);
+        let n = term.columns.len();
+        let covariance = chol.inverse().view((from, from), (n, n)) * (left / freedom);
+        Some(Own { run, coefficients: all.rows(from, n).into_owned(), covariance })
+    })
+    .collect()
+}
+
+/// A size that all runs have in common, and its 95 % interval: the root of the mean square beyond what sampling makes.
+struct Size {
+    value: f64,
+    interval: [f64; 2],
+}
+
+impl Size {
+    /// Of squares with what sampling makes of each.
+    fn of(squares: &[[f64; 2]]) -> Self {
+        let n = squares.len() as f64;
+        let beyond: Vec<f64> = squares.iter().map(|s| s[0] - s[1]).collect();
+        let mean = beyond.iter().sum::<f64>() / n.max(1.0);
+        let half = if squares.len() > 1 {
+            let scatter = beyond.iter().map(|b| (b - mean).powi(2)).sum::<f64>() / (n - 1.0);
+            student_95(n - 1.0) * (scatter / n).sqrt()
+        } else {
+            // Of one run, what sampling makes: a square of mean m over a noise v in both coefficients scatters by 2·√(v/2·(m + v/2)).
+            let noise = 0.5 * squares.first().map_or(0.0, |s| s[1]);
+            NORMAL_95 * 2.0 * (noise * (mean.max(0.0) + noise)).sqrt()
+        };
+        let root = |square: f64| square.max(0.0).sqrt();
+        let value = root(mean);
+        // What is wrong with the form makes no size out of nothing.
+        let widened = |end: f64| (end - value).hypot(NORMAL_95 * FORM * value);
+        let [low, high] = [root(mean - half), root(mean + half)].map(widened);
+        Self { value, interval: [if mean > half { (value - low).max(1e-6) } else { 0.0 }, value + high] }
+    }
+
+    fn estimate(&self, name: String) -> Estimate {
+        Estimate { name, value: self.value, interval: self.interval, unit: "1".to_owned() }
+    }
+}
+
+/// Orders of a turn: those whose amplitude is none by no chance, the strongest three; the strongest one where all could be none.
+fn harmonics(problem: &Problem, term: &Term, fits: &[Own]) -> Said {
+    let order = |k: usize| match term.columns[2 * k] {
+        Column::Flexible(Basis::Angle(j)) => j / 2 + 1,
+        _ => k + 1,
+    };
+    let shown = |k: usize| -> Vec<&Own> {
+        let noise = |f: &Own| f.covariance[(2 * k, 2 * k)].max(f.covariance[(2 * k + 1, 2 * k + 1)]);
+        fits.iter().filter(|f| noise(f).sqrt() < SAYS_NOTHING).collect()
+    };
+    let size = |k: usize| {
+        let square = |f: &&Own| {
+            let at = [2 * k, 2 * k + 1];
+            at.map(|i| [f.coefficients[i].powi(2), f.covariance[(i, i)]])
+                .iter()
+                .fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]])
+        };
+        Size::of(&shown(k).iter().map(square).collect::<Vec<_>>())
+    };
+    let mut sizes: Vec<(usize, Size)> = (0..term.columns.len() / 2).map(|k| (k, size(k))).collect();
+    sizes.sort_by(|a, b| b.1.value.total_cmp(&a.1.value));
+    let sure = sizes.iter().filter(|(_, s)| s.interval[0] > 0.0).count();
+    sizes.truncate(sure.clamp(1, MOST_ORDERS));
+    sizes.sort_by_key(|s| s.0);
+    // The run that turned farthest stands for all, as its phases do in the saved model.
+    let farthest = |a: &&&Own, b: &&&Own| {
+        let turned = |f: &Own| problem.runs[f.run].revolutions().abs();
+        turned(a).total_cmp(&turned(b))
+    };
+    let phase = |k: usize| {
+        let runs = shown(k);
+        runs.iter().max_by(farthest).map_or(0.0, |f| f.coefficients[2 * k + 1].atan2(f.coefficients[2 * k]))
+    };
+    let agree = sizes.iter().all(|(k, _)| in_phase(&shown(*k), *k));
+    let sum: Vec<String> = sizes.iter().map(|(k, _)| format!("a{0}·cos({0}θ − φ{0})", order(*k))).collect();
+    let phases = if agree { "the same φ in all runs" } else { "a φ of its own in every run" };
+    Said {
+        equation: format!("speed·(1 + {}), {phases}", sum.join(" + ")),
+        parameters: sizes.iter().map(|(k, s)| s.estimate(format!("a{}", order(*k)))).collect(),
+        curve: Curve::Angle(sizes.iter().map(|(k, s)| [order(*k) as f64, s.value, phase(*k)]).collect()),
+    }
+}
+
+/// Whether all runs have the same phase since their beginning, which they do only where they begin at the same angle.
+fn in_phase(runs: &[&Own], k: usize) -> bool {
+    let sum = runs.iter().fold([0.0; 3], |sum, f| {
+        let [a, b] = [f.coefficients[2 * k], f.coefficients[2 * k + 1]];
+        [sum[0] + a, sum[1] + b, sum[2] + a.hypot(b)]
+    });
+    runs.len() >= FEWEST_THAT_AGREE && sum[0].hypot(sum[1]) > AGREE * sum[2]
+}
+
+/// A course over time of each run's own: how large it is, and of a single run how it goes.
+fn wander(problem: &Problem, term: &Term, fits: &[Own]) -> Said {
+    let n = term.columns.len();
+    let longest_s = problem.runs.iter().map(|r| r.drive_end).fold(0.0, f64::max);
+    let times: Vec<f64> = (0..n).map(|k| longest_s * k as f64 / (n - 1).max(1) as f64).collect();
+    let about_its_mean = |f: &Own| -> (Vec<f64>, f64) {
+        let seen: Vec<usize> = (0..n).filter(|k| f.covariance[(*k, *k)].sqrt() < SAYS_NOTHING).collect();
+        let count = seen.len().max(1) as f64;
+        let mean = seen.iter().map(|k| f.coefficients[*k]).sum::<f64>() / count;
+        let noise = seen.iter().map(|k| f.covariance[(*k, *k)]).sum::<f64>() / count;
+        let off = |k: usize| if seen.contains(&k) { f.coefficients[k] - mean } else { 0.0 };
+        ((0..n).map(off).collect(), noise)
+    };
+    let courses: Vec<(Vec<f64>, f64)> = fits.iter().map(about_its_mean).collect();
+    let square = |(course, noise): &(Vec<f64>, f64)| {
+        let seen = course.iter().filter(|c| **c != 0.0).count().max(1) as f64;
+        [course.iter().map(|c| c * c).sum::<f64>() / seen, *noise]
+    };
+    let size = Size::of(&courses.iter().map(square).collect::<Vec<_>>());
+    let step = short(times.get(1).copied().unwrap_or(0.0));
+    let curve = match courses.as_slice() {
+        [(course, _)] => Curve::Time(times.iter().zip(course).map(|(t, c)| [*t, *c]).collect()),
+        _ => Curve::Elsewhere,
+    };
+    let whose = if courses.len() == 1 { "" } else { ", another c in every run" };
+    Said {
+        equation: format!("speed·(1 + Σ c_k·hat_k(t)), knots every {step} s{whose}"),
+        parameters: vec![size.estimate("root_mean_square".to_owned())],
+        curve,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if an amplitude holds what sampling makes of it, or an interval without a scatter between runs is not that of sampling.
+    #[test]
+    fn a_size_is_what_lies_beyond_the_sampling() {
+        let size = Size::of(&[[0.0017, 0.0001]; 4]);
+        assert!((size.value - 0.04).abs() < 1e-12, "{}", size.value);
+        let none = Size::of(&[[0.0002, 0.0001], [0.0000, 0.0001], [0.0001, 0.0001]]);
+        assert_eq!((none.value, none.interval[0]), (0.0, 0.0));
+        let [one, sharper] = [1e-4, 1e-6].map(|noise| Size::of(&[[0.0016 + noise, noise]]));
+        assert!(one.interval[1] - one.interval[0] > 3.0 * (sharper.interval[1] - sharper.interval[0]));
+    }
+}
