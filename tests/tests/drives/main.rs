@@ -81,10 +81,10 @@ fn what_is_hidden_in_a_drive_is_found_and_nothing_else() {
 }
 
 /// Fails if an order of the angle is no longer seen, or what is outside the line's reach gets another name: encoders that keep their zero, a
-/// speed alone, a closed loop.
+/// speed alone, a closed loop; rotors that turn through less than two teeth.
 #[test]
 fn cogging_is_found_in_its_order() {
-    let answers: Vec<(u64, Diagnosis)> = [71_001, 71_004, 71_005, 71_008, 71_013]
+    let answers: Vec<(u64, Diagnosis)> = [71_001, 71_004, 71_005, 71_008, 71_013, 16_016, 16_020]
         .into_par_iter()
         .map(|seed| (seed, answer(Drive::draw_any(&[Hidden::Cogging], seed).make())))
         .collect();
@@ -94,6 +94,22 @@ fn cogging_is_found_in_its_order() {
         let order = Drive::draw_any(&[Hidden::Cogging], *seed).ripples();
         assert_eq!(size["cogging_order"].value, order, "{seed}");
     }
+}
+
+/// Fails if something small that an effect takes of an error gets a name beside the structure of all the rest.
+#[test]
+fn cogging_that_is_not_in_the_library_lends_its_error_to_no_other() {
+    let d = answer_without(Drive::draw_any(&[Hidden::Cogging], 15_042).make(), &["cogging"]).0;
+    assert_eq!((d.verdict, d.named().len()), (Verdict::Unknown, 0), "{:?}", d.suspected());
+}
+
+/// Fails if the error on what was not fitted is that of a form before it was refined: a friction that falls with the speed beside one that
+/// falls at once, which misses by five times the noise.
+#[test]
+fn the_error_afterwards_is_that_of_the_refined_form() {
+    let d = answer(Drive::draw_any(&[Hidden::Stribeck], 16_010).make());
+    let [before, after] = [d.baseline.scores.rmse_speed_rpm, d.extended.rmse_speed_rpm].map(Option::unwrap);
+    assert!(after < 0.15 * before, "{after} of {before} rpm");
 }
 
 /// Fails if a delay that sines of other frequencies show as other lags is taken for other motors.
