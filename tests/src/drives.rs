@@ -3,6 +3,8 @@
 //! Torque balance in small steps (at least 60 to the shortest time constant), friction with a rest rule of its own; inputs of six shapes
 //! and a closed loop; speeds with noise, speeds rounded, or counts of an encoder. Orders of magnitude of gain, lag, noise and sampling are drawn.
 
+mod visible;
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
@@ -33,9 +35,8 @@ pub enum Hidden {
 }
 
 impl Hidden {
-    /// Those of the host's library, and nothing.
-    pub const ALL: [Hidden; 9] = [
-        Hidden::Nothing,
+    /// Those of the host's library.
+    pub const KNOWN: [Hidden; 8] = [
         Hidden::Coulomb,
         Hidden::DeadZone,
         Hidden::Saturation,
@@ -45,6 +46,14 @@ impl Hidden {
         Hidden::Stribeck,
         Hidden::Cogging,
     ];
+
+    /// How the place begins in which the host should see what has no name in its library.
+    pub fn lives_in(self) -> &'static str {
+        match self {
+            Hidden::Warmth => "time",
+            _ => "",
+        }
+    }
 
     /// The names under which it is found; the first is its own.
     pub fn names(self) -> &'static [&'static str] {
@@ -158,6 +167,11 @@ impl Drive {
         drive
     }
 
+    /// The same motor, measured in the same way, without something that is hidden in it.
+    pub fn without(&self, hidden: Hidden) -> Self {
+        Self { hidden: self.hidden.iter().copied().filter(|h| *h != hidden).collect(), ..self.clone() }
+    }
+
     fn has(&self, hidden: Hidden) -> bool {
         self.hidden.contains(&hidden)
     }
@@ -267,7 +281,10 @@ impl Drive {
 
     /// Steps in which a sample is computed, and the length of one.
     fn steps(&self) -> usize {
-        (60.0 * self.period / self.lag).ceil().max(20.0) as usize
+        // Teeth that pass at full speed are quicker than the lag: a radian of them is as short as it gets.
+        let tooth = 60.0 / (std::f64::consts::TAU * self.ripples * self.gain);
+        let shortest = if self.has(Hidden::Cogging) { self.lag.min(tooth) } else { self.lag };
+        (60.0 * self.period / shortest).ceil().max(20.0) as usize
     }
 
     fn step(&self) -> f64 {
@@ -284,15 +301,12 @@ impl Drive {
         let normal = Normal::new(0.0, 1.0).expect("a unit normal");
         let levels: Vec<f64> = (0..400).map(|_| rng.random_range(-1.0..1.0)).collect();
         let gain = self.gain * (1.0 + 0.003 * normal.sample(rng));
-        let late = if self.has(Hidden::DeadTime) { (6.0 * self.size).round() as usize } else { 0 };
-        let steps = self.steps();
-        let h = self.step();
-        let (mut speed, mut turns, mut integral) = (0.0, 0.0, 0.0);
+        let (mut rotor, mut integral) = (Rotor { speed: 0.0, turns: 0.0 }, 0.0);
         let mut inputs: Vec<f64> = Vec::new();
         let mut record = Record { time_us: Vec::new(), input: Vec::new(), rpm: Vec::new(), angle_rad: None };
         let mut angle = Vec::new();
         for k in 0..self.samples {
-            let noisy = speed + self.noise * self.gain * normal.sample(rng);
+            let noisy = rotor.speed + self.noise * self.gain * normal.sample(rng);
             let measured = match self.sensor {
                 Sensor::Rounded(step) => (noisy / step).round() * step,
                 _ => noisy,
@@ -311,27 +325,44 @@ impl Drive {
             record.input.push(self.largest * input);
             record.rpm.push(measured);
             if let Sensor::Counts(counts) = self.sensor {
-                angle.push((turns * counts).round() / counts * std::f64::consts::TAU);
+                angle.push((rotor.turns * counts).round() / counts * std::f64::consts::TAU);
             }
-            let warm =
-                if self.has(Hidden::Warmth) { 1.0 - 0.2 * self.size * k as f64 / self.samples as f64 } else { 1.0 };
-            let drive = warm * self.actuated(inputs[k.saturating_sub(late)]);
-            for _ in 0..steps {
-                let cogging = if self.has(Hidden::Cogging) {
-                    0.2 * self.size * (self.ripples * std::f64::consts::TAU * turns).cos()
-                } else {
-                    0.0
-                };
-                let free: f64 = speed + h / self.lag * (gain * (drive + cogging) - speed);
-                // Friction takes away at most what there is.
-                let brake = h / self.lag * gain * self.friction(speed);
-                speed = if free.abs() <= brake { 0.0 } else { free - brake * free.signum() };
-                turns += speed * h / 60.0;
-            }
+            self.turn(&mut rotor, self.driven(&inputs, k), gain, self.lag);
         }
         if !angle.is_empty() {
             record.angle_rad = Some(angle);
         }
         record
     }
+
+    /// What drives the rotor after sample `k` of these inputs.
+    fn driven(&self, inputs: &[f64], k: usize) -> f64 {
+        let late = if self.has(Hidden::DeadTime) { (6.0 * self.size).round() as usize } else { 0 };
+        let warm = if self.has(Hidden::Warmth) { 1.0 - 0.2 * self.size * k as f64 / self.samples as f64 } else { 1.0 };
+        warm * self.actuated(inputs[k.saturating_sub(late)])
+    }
+
+    /// Moves a rotor of a gain and a lag from one sample to the next.
+    fn turn(&self, rotor: &mut Rotor, drive: f64, gain: f64, lag: f64) {
+        let h = self.step();
+        for _ in 0..self.steps() {
+            let cogging = if self.has(Hidden::Cogging) {
+                0.2 * self.size * (self.ripples * std::f64::consts::TAU * rotor.turns).cos()
+            } else {
+                0.0
+            };
+            let free: f64 = rotor.speed + h / lag * (gain * (drive + cogging) - rotor.speed);
+            // Friction takes away at most what there is.
+            let brake = h / lag * gain * self.friction(rotor.speed);
+            rotor.speed = if free.abs() <= brake { 0.0 } else { free - brake * free.signum() };
+            rotor.turns += rotor.speed * h / 60.0;
+        }
+    }
+}
+
+/// A rotor at an instant.
+struct Rotor {
+    /// In rpm.
+    speed: f64,
+    turns: f64,
 }

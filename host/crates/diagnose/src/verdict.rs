@@ -19,7 +19,7 @@ pub const CLOSED_TEMPERATURE: f64 = 6.0;
 /// for choosing the wrong one led by up to 37.
 pub const ALIKE: f64 = 40.0;
 /// Share of all that is removed that a term without physics may remove beside a cause: more, and the cause is not what there is to see.
-const MOST_BESIDE: f64 = 0.4;
+pub const MOST_BESIDE: f64 = 0.4;
 /// Share of what is within runs that they may take, beyond chance, with courses of their own over time or angle where nothing is hidden:
 /// the sampling of edges has none. In 30 motors without an effect it was 0.032 at most (generators B, C and D).
 pub const MOST_OF_A_COURSE: f64 = 0.05;

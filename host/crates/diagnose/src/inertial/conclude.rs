@@ -2,7 +2,7 @@
 
 use super::super::finding::{Estimate, Finding, Status, Unknown};
 use super::super::stats::HeldOut;
-use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, TEMPERATURE, Visited, judge};
+use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, MOST_BESIDE, TEMPERATURE, Visited, judge};
 use super::compensation::Fitted;
 use super::data::Data;
 use super::effects::{Coordinate, EFFECTS, reported, twin};
@@ -23,6 +23,8 @@ const MOST_OF_A_COURSE: f64 = 0.15;
 const MOST_FORETOLD: f64 = 0.5;
 /// Share of the usual speed below which what is left is nobody's concern: twice what no equation is believed below.
 const NEGLIGIBLE: f64 = 0.01;
+/// Where something lives that neighbours foretell and no coordinate has.
+const FOLLOWS: &str = "time: what is left follows from sample to sample";
 /// Samples that noise lasts at most: beyond, what is left has a form that no effect of the set has.
 const MOST_MEMORY_OF_NOISE: f64 = 1.5;
 
@@ -57,9 +59,12 @@ pub struct InertialOutcome {
 pub fn conclude(ground: &Ground, visited: &[Set], repetitions: usize, seed: u64) -> InertialOutcome {
     let root = visited.iter().find(|s| s.parts.is_empty()).unwrap_or(&visited[0]);
     let scorer = Scorer::new(ground);
-    let standing = Standing::of(&scorer, visited, root, seed);
-    let accepted = standing.judged.accepted(&standing.sets, Set::key, |e| EFFECTS[e].own).unwrap_or(root);
-    let accepted = &ground.settled(accepted);
+    let mut standing = Standing::of(&scorer, visited, root, seed);
+    let mut accepted = ground.settled(standing.accepted(root));
+    if standing.withhold(ground, root, &accepted) {
+        accepted = ground.settled(standing.accepted(root));
+    }
+    let accepted = &accepted;
     let held = scorer.held_out(root).against(&scorer.held_out(accepted));
     let chance = Chance::new(ground, root, visited, repetitions, seed);
     let view = View { ground, scorer: &scorer, visited, root, standing: &standing, chance: &chance, repetitions, seed };
@@ -126,6 +131,36 @@ impl Standing {
             sets.retain(|s| !s.key().iter().any(|e| more.contains(e)));
             struck.extend(more);
         }
+    }
+}
+
+impl Standing {
+    /// The set of what may be said.
+    fn accepted<'a>(&'a self, root: &'a Set) -> &'a Set {
+        self.judged.accepted(&self.sets, Set::key, |e| EFFECTS[e].own).unwrap_or(root)
+    }
+
+    /// Takes every name back where what follows from sample to sample beside them is more of all that could be removed than may stay
+    /// beside a cause, in whatever coordinate it lives; whether it did.
+    fn withhold(&mut self, ground: &Ground, root: &Set, accepted: &Set) -> bool {
+        let judged = &mut self.judged;
+        if judged.named.is_empty() && judged.one_of.is_empty() {
+            return false;
+        }
+        let left = squared_error(ground.data, &accepted.plant);
+        let followed = left * foretold(ground.data, &accepted.plant);
+        let removed = squared_error(ground.data, &root.plant) - left;
+        let share = followed / (removed + followed).max(1e-300);
+        if share < MOST_BESIDE || left < (NEGLIGIBLE * ground.data.usual_rpm).powi(2) * ground.data.rows() as f64 {
+            return false;
+        }
+        judged.named.clear();
+        judged.one_of.clear();
+        judged.withheld = true;
+        if judged.lives_in.is_empty() {
+            judged.lives_in.push((FOLLOWS, share));
+        }
+        true
     }
 }
 
@@ -347,7 +382,7 @@ fn left_over(ground: &Ground, judged: &Judgement, findings: &[Finding], held: &H
     let nothing = all.is_empty() && findings.iter().all(|f| f.status == Status::Rejected);
     let left = held.rmse(1);
     if nothing && left > NEGLIGIBLE * ground.data.usual_rpm && foretold > MOST_FORETOLD {
-        all.push(unknown("time: what is left follows from sample to sample", foretold));
+        all.push(unknown(FOLLOWS, foretold));
     } else if nothing && left > 0.5 * ground.data.usual_rpm {
         all.push(unknown("the speed as a whole: it does not follow the input", 1.0));
     }

@@ -1,6 +1,6 @@
 //! The runs of an ordinary motor as they are compared: inputs relative to the largest, speeds of samples or of windows.
 
-use super::angle::{Course, KEPT, Ripple};
+use super::angle::{Course, Ripple, WAVES};
 use super::columns::{Columns, Recorded};
 use twum_record::measurement::{DriveResponse, Run, RunData};
 
@@ -28,8 +28,8 @@ pub struct DriveRun {
     pub windows: Option<Vec<usize>>,
     /// Angle in revolutions at each sample, measured or summed up from the speed.
     pub turns: Vec<f64>,
-    /// Cosine and sine of every order of [`Data::ripples`] over the interval after each sample; empty where there is none.
-    pub ripple: Vec<[f64; 2 * KEPT]>,
+    /// Cosine and sine of every order of [`Data::ripples`] over the interval after each sample, as [`WAVES`]; empty where there is none.
+    pub ripple: Vec<[f64; WAVES]>,
     /// Load relative to the largest of all runs, and kelvins above the mean temperature of all, over the interval after each sample; empty
     /// where neither was measured.
     pub beside: Vec<[f64; 2]>,

@@ -36,7 +36,7 @@ pub fn divisions(data: &Data) -> Vec<Vec<Block>> {
 pub struct Scorer<'a> {
     /// What the sets are of.
     pub ground: &'a Ground<'a>,
-    known: RefCell<Vec<(Vec<Part>, HeldOut)>>,
+    known: RefCell<Vec<(Vec<Part>, Plant, HeldOut)>>,
 }
 
 impl<'a> Scorer<'a> {
@@ -47,10 +47,12 @@ impl<'a> Scorer<'a> {
 
     /// The errors of a set.
     pub fn held_out(&self, set: &Set) -> HeldOut {
-        let known = self.known.borrow().iter().find(|k| k.0 == set.parts).map(|k| k.1.clone());
+        // A set whose forms were refined is another.
+        let same = |k: &&(Vec<Part>, Plant, HeldOut)| k.0 == set.parts && k.1 == set.plant;
+        let known = self.known.borrow().iter().find(same).map(|k| k.2.clone());
         known.unwrap_or_else(|| {
             let new = held_out(self.ground, set);
-            self.known.borrow_mut().push((set.parts.clone(), new.clone()));
+            self.known.borrow_mut().push((set.parts.clone(), set.plant.clone(), new.clone()));
             new
         })
     }
@@ -59,7 +61,7 @@ impl<'a> Scorer<'a> {
 /// Errors of a set on what it was not fitted to; the initial speed of a run that is held out is its own.
 fn held_out(ground: &Ground, set: &Set) -> HeldOut {
     let data = ground.data;
-    let free = ground.free(&set.parts);
+    let free = ground.free_of(&set.parts, &set.plant.values);
     let noise = ground.noise(&set.plant);
     let scored: Vec<(Vec<f64>, Vec<f64>)> = divisions(data)
         .into_par_iter()

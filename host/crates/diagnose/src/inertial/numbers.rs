@@ -3,7 +3,7 @@
 use super::super::finding::Estimate;
 use super::effects::{EFFECTS, Free, over_angle, reported};
 use super::fit::{Noise, derivatives};
-use super::sets::{Ground, Set};
+use super::sets::{Ground, Set, memory};
 use super::values::P;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::TAU;
@@ -88,8 +88,8 @@ impl OwnOfRun {
     }
 }
 
-/// How uncertain the numbers of a fit are: by errors that do not depend on one another, and by errors that are independent from piece to
-/// piece of a run only, whichever is more.
+/// How uncertain the numbers of a fit are: by errors that last as long as those of neighbouring samples say, and by errors that are
+/// independent from piece to piece of a run only, whichever is more.
 ///
 /// Reference: Liang and Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73 (1986) 13 (the second).
 struct Uncertainty {
@@ -130,7 +130,9 @@ impl Uncertainty {
         let Some(inverse) = g.try_inverse() else { return Self { free, covariances: None } };
         // What is fitted takes its share of the errors.
         let taken = n + 2 * data.runs.len();
-        let white = &inverse * (squares / (data.rows().saturating_sub(taken).max(1)) as f64);
+        // What follows from sample to sample is counted once: a form that is a little off errs over stretches.
+        let once = memory(data, &set.plant);
+        let white = &inverse * (once * squares / (data.rows().saturating_sub(taken).max(1)) as f64);
         // Few pieces say less of their scatter than many: of those, as many as there are numbers are used up.
         let pieces = (PIECES * data.runs.len()) as f64;
         let left = (pieces - n as f64).max(2.0);

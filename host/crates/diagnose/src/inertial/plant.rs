@@ -260,6 +260,9 @@ pub fn simulate_goals(run: &DriveRun, values: &Values, goals: &[f64], start_rpm:
         }
         solver.advance(&mut state, goals[applied], rounded(until - now));
         now = until;
+        // A torque that changes within the interval, as over the angle of a rotor that turns; one at rest has none that does.
+        let [torque, share] = solver.aside.way;
+        state.way += values.get(P::Gain) * (torque + share * state.x) * (until - run.time[k - 1]);
         match &run.windows {
             None => out.push(magnitude(state.speed)),
             Some(ends) if ends.get(window.0 + 1) == Some(&k) => {
@@ -343,7 +346,8 @@ mod tests {
     fn stick_and_slip_are_those_of_small_steps() {
         let input: Vec<f64> =
             (0..120).map(|k| (0.11 * f64::from(k)).sin() * if k % 7 < 2 { 0.2 } else { 0.9 }).collect();
-        let ripple = (0..120).map(|k| [0.9, 1.7, 2.3, 0.4].map(|by| (by * f64::from(k)).sin())).collect();
+        let ripple =
+            (0..120).map(|k| [0.9, 1.7, 2.3, 0.4, 0.0, 0.0, 0.0, 0.0].map(|by| (by * f64::from(k)).sin())).collect();
         let beside = (0..120).map(|k| [0.7, 0.05].map(|by| 3.0 * (by * f64::from(k)).sin())).collect();
         let run = DriveRun { ripple, beside, ..run(input, 4e-3) };
         let plain = Values::line(300.0, 0.02).with(P::Coulomb, 0.2);
@@ -362,6 +366,34 @@ mod tests {
             for (k, (a, b)) in exact.iter().zip(stepped(&run, &v)).enumerate() {
                 assert!((a - b).abs() < 0.2, "{v:?}: {a} and {b} rpm at sample {k}");
             }
+        }
+    }
+
+    /// Fails if the mean speed of a window leaves out that a torque over the angle changes within a sample: an encoder shows it.
+    #[test]
+    fn a_window_shows_a_torque_that_changes_within_it() {
+        use super::super::angle::{Course, Ripple};
+        let (gain, lag_s, period_s, order) = (300.0, 0.05, 0.02, 3);
+        // A sixth of a tooth, and half a tooth, from sample to sample.
+        let turns: Vec<f64> = (0..40).map(|k| f64::from(k.min(20)) / 18.0 + f64::from((k - 20).max(0)) / 6.0).collect();
+        let mut run = run(vec![0.5; 40], period_s);
+        run.windows = Some((0..40).collect());
+        run.rpm = vec![0.0; 39];
+        let course = Course { time_s: &run.time, turns: &turns, rpm: None, lag_s };
+        run.ripple = course.ripple(0, &[Ripple { order, phases: vec![0.0] }]);
+        let values = Values::line(gain, lag_s).with(P::CoggingCos, 0.2);
+        let windows = simulate(&run, &values, 0.0, false).rpm;
+        let (steps, mut speed) = (4000, 0.0);
+        for (k, window) in windows.iter().enumerate() {
+            let mut mean = 0.0;
+            for i in 0..steps {
+                let at = turns[k] + (turns[k + 1] - turns[k]) * (f64::from(i) + 0.5) / f64::from(steps);
+                let torque = 0.5 + 0.2 * (std::f64::consts::TAU * order as f64 * at).cos();
+                let before = speed;
+                speed += (gain * torque - speed) * period_s / f64::from(steps) / lag_s;
+                mean += 0.5 * (before + speed) / f64::from(steps);
+            }
+            assert!((window - mean).abs() < 0.01 * gain * 0.2, "{window} and {mean} rpm in window {k}");
         }
     }
 }

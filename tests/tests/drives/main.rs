@@ -1,19 +1,22 @@
 //! The diagnosis of ordinary motors: drives drawn at random in which something, or nothing, is hidden, and records that are not what
 //! they say.
 
+mod table;
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use twum_host::diagnose::answer::{Diagnosis, EffectAnswer, Verdict};
+use twum_host::diagnose::answer::{Diagnosis, Verdict};
 use twum_host::diagnose::{Details, Options, diagnose};
 use twum_host::record::measurement::{DriveResponse, Measurement, Run, RunData, RunKind};
 use twum_tests::drives::{Drive, Hidden, Record};
 
 fn answer(records: Vec<Record>) -> Diagnosis {
-    answer_with(records).0
+    answer_without(records, &[]).0
 }
 
-fn answer_with(records: Vec<Record>) -> (Diagnosis, Option<Details>) {
+/// The answer of a library without some of its effects.
+fn answer_without(records: Vec<Record>, names: &[&str]) -> (Diagnosis, Option<Details>) {
     let run = |(i, r): (usize, Record)| {
         let response = r.angle_rad.map_or(DriveResponse::SpeedRpm(r.rpm), DriveResponse::PositionRad);
         Run::new(
@@ -25,7 +28,9 @@ fn answer_with(records: Vec<Record>) -> (Diagnosis, Option<Details>) {
     let runs = records.into_iter().enumerate().map(run).collect();
     let folder =
         Measurement { name: "drive".into(), motor: "inertial".into(), edges_per_rev: 0, runs, folder: "d".into() };
-    diagnose(&[folder], &Options { quick: true, ..Options::default() }, &|_, _| {}).expect("it can be diagnosed")
+    let without = names.iter().map(|n| (*n).to_owned()).collect();
+    diagnose(&[folder], &Options { quick: true, without, ..Options::default() }, &|_, _| {})
+        .expect("it can be diagnosed")
 }
 
 /// A drive whose record is short enough for a test.
@@ -47,6 +52,18 @@ fn perfect_linear_motors_get_no_name() {
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
+/// The same of a hundred whole records, with every sensor and loops among them.
+#[test]
+#[ignore = "takes minutes: cargo test --release -p twum-tests --test drives -- --ignored --nocapture a_hundred_perfect"]
+fn a_hundred_perfect_linear_motors_get_no_name() {
+    let said = |seed: u64| (seed, answer(Drive::draw_any(&[Hidden::Nothing], seed).make()));
+    let all: Vec<(u64, Diagnosis)> = (60_001..=60_100).into_par_iter().map(said).collect();
+    let none = all.iter().filter(|(_, d)| d.verdict == Verdict::None).count();
+    println!("`none` of {none} of {}", all.len());
+    let wrong: Vec<_> = all.iter().map(|(seed, d)| (seed, d.named())).filter(|w| !w.1.is_empty()).collect();
+    assert!(wrong.is_empty(), "{wrong:?}");
+}
+
 /// Fails if what is hidden is no longer found, or another name comes with it.
 #[test]
 fn what_is_hidden_in_a_drive_is_found_and_nothing_else() {
@@ -64,10 +81,10 @@ fn what_is_hidden_in_a_drive_is_found_and_nothing_else() {
 }
 
 /// Fails if an order of the angle is no longer seen, or what is outside the line's reach gets another name: encoders that keep their zero, a
-/// speed alone, a closed loop.
+/// speed alone, a closed loop; rotors that turn through less than two teeth.
 #[test]
 fn cogging_is_found_in_its_order() {
-    let answers: Vec<(u64, Diagnosis)> = [71_001, 71_004, 71_005, 71_008, 71_013]
+    let answers: Vec<(u64, Diagnosis)> = [71_001, 71_004, 71_005, 71_008, 71_013, 16_016, 16_020]
         .into_par_iter()
         .map(|seed| (seed, answer(Drive::draw_any(&[Hidden::Cogging], seed).make())))
         .collect();
@@ -77,6 +94,22 @@ fn cogging_is_found_in_its_order() {
         let order = Drive::draw_any(&[Hidden::Cogging], *seed).ripples();
         assert_eq!(size["cogging_order"].value, order, "{seed}");
     }
+}
+
+/// Fails if something small that an effect takes of an error gets a name beside the structure of all the rest.
+#[test]
+fn cogging_that_is_not_in_the_library_lends_its_error_to_no_other() {
+    let d = answer_without(Drive::draw_any(&[Hidden::Cogging], 15_042).make(), &["cogging"]).0;
+    assert_eq!((d.verdict, d.named().len()), (Verdict::Unknown, 0), "{:?}", d.suspected());
+}
+
+/// Fails if the error on what was not fitted is that of a form before it was refined: a friction that falls with the speed beside one that
+/// falls at once, which misses by five times the noise.
+#[test]
+fn the_error_afterwards_is_that_of_the_refined_form() {
+    let d = answer(Drive::draw_any(&[Hidden::Stribeck], 16_010).make());
+    let [before, after] = [d.baseline.scores.rmse_speed_rpm, d.extended.rmse_speed_rpm].map(Option::unwrap);
+    assert!(after < 0.15 * before, "{after} of {before} rpm");
 }
 
 /// Fails if a delay that sines of other frequencies show as other lags is taken for other motors.
@@ -263,97 +296,6 @@ fn measured_runs_alone_are_not_nothing() {
     }
 }
 
-/// Seeds from which nothing in the diagnosis was chosen.
-const UNSEEN: u64 = 30_001;
-
-/// A share with its 95 % Wilson interval, in per cent.
-fn share(hits: usize, of: usize) -> String {
-    if of == 0 {
-        return "–".to_owned();
-    }
-    let (n, p, z) = (of as f64, hits as f64 / of as f64, 1.96_f64);
-    let middle = (p + z * z / (2.0 * n)) / (1.0 + z * z / n);
-    let half = z * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt() / (1.0 + z * z / n);
-    format!(
-        "{hits}/{of} = {:.0} % ({:.0}–{:.0})",
-        100.0 * p,
-        100.0 * (middle - half).max(0.0),
-        100.0 * (middle + half).min(1.0)
-    )
-}
-
-/// A number that was said, and what it is.
-#[derive(Debug)]
-struct Told {
-    name: &'static str,
-    value: f64,
-    interval: [f64; 2],
-    truth: f64,
-}
-
-impl Told {
-    fn is_held(&self) -> bool {
-        self.interval[0] <= self.truth && self.truth <= self.interval[1]
-    }
-}
-
-/// One motor drawn at random, and what was said of it.
-struct Case {
-    hidden: Vec<Hidden>,
-    seed: u64,
-    answer: Diagnosis,
-    /// Every number that has a truth.
-    numbers: Vec<Told>,
-    seconds: f64,
-}
-
-impl Case {
-    fn of(hidden: Vec<Hidden>, seed: u64) -> Self {
-        let drive = Drive::draw_any(&hidden, seed);
-        let records = drive.make();
-        let begun = std::time::Instant::now();
-        let truth = drive.truth(&records);
-        let (answer, details) = answer_with(records);
-        let own = |name: &str| match &details {
-            Some(Details::Inertial(outcome)) => {
-                outcome.own.iter().find(|e| e.name == name).map(|e| (e.value, e.interval))
-            }
-            _ => None,
-        };
-        let said = |name: &str| {
-            let suspected = answer.effects.iter().filter(|e| e.status != "rejected");
-            let of = suspected.filter_map(|e| e.parameters.get(name)).next();
-            of.map(|p| (p.value, p.ci95)).or_else(|| own(name))
-        };
-        let told = |(name, truth)| said(name).map(|(value, interval)| Told { name, value, interval, truth });
-        let numbers: Vec<Told> = truth.into_iter().filter_map(told).collect();
-        let seconds = begun.elapsed().as_secs_f64();
-        println!(
-            "{hidden:?} {seed}: {:?} named {:?} suspected {:?} unknown {:?}; {}; {numbers:?} {seconds:.1} s",
-            answer.verdict,
-            answer.named(),
-            answer.suspected(),
-            answer.unknown.iter().map(|u| u.lives_in.as_str()).collect::<Vec<_>>(),
-            drive.describe()
-        );
-        Self { hidden, seed, answer, numbers, seconds }
-    }
-
-    /// Alone or in a set of at most three.
-    fn found(&self, hidden: Hidden) -> bool {
-        let set = self.answer.suspected();
-        set.iter().any(|n| hidden.names().contains(n)) && (set.len() <= 2 + self.hidden.len())
-    }
-
-    fn named(&self, hidden: Hidden) -> bool {
-        self.answer.named().iter().any(|n| hidden.names().contains(n))
-    }
-
-    fn wrong_name(&self) -> bool {
-        self.answer.named().iter().any(|n| !self.hidden.iter().any(|h| h.names().contains(n)))
-    }
-}
-
 /// The time that long records take.
 #[test]
 #[ignore = "prints times: cargo test --release -p twum-tests --test drives -- --ignored --nocapture long_records --test-threads 1"]
@@ -372,111 +314,4 @@ fn long_records() {
             );
         }
     }
-}
-
-/// The table of what is found and of what is said wrongly; `TWUM_WRITE_DOCS` writes it to docs/drives.md. `TWUM_DRIVES` divides the
-/// numbers of motors, `TWUM_DRIVES_FROM` is the first seed.
-#[test]
-#[ignore = "340 motors: cargo test --release -p twum-tests --test drives -- --ignored --nocapture three_hundred"]
-fn three_hundred_drives() {
-    let number = |name: &str, otherwise: u64| {
-        std::env::var(name).ok().and_then(|v| v.parse().ok()).filter(|v| *v > 0).unwrap_or(otherwise)
-    };
-    let (part, from) = (number("TWUM_DRIVES", 1), number("TWUM_DRIVES_FROM", UNSEEN));
-    let mut asked: Vec<(Vec<Hidden>, u64)> = Vec::new();
-    let mut next = from;
-    let mut ask = |hidden: &[Hidden], times: u64| {
-        for _ in 0..times.div_ceil(part) {
-            asked.push((hidden.to_vec(), next));
-            next += 1;
-        }
-    };
-    let singles: Vec<Hidden> = Hidden::ALL.into_iter().filter(|h| *h != Hidden::Nothing).collect();
-    ask(&[Hidden::Nothing], 100);
-    singles.iter().filter(|h| **h != Hidden::Cogging).for_each(|h| ask(&[*h], 20));
-    let pairs = [
-        [Hidden::Coulomb, Hidden::Saturation],
-        [Hidden::Coulomb, Hidden::Asymmetry],
-        [Hidden::DeadZone, Hidden::Load],
-        [Hidden::Load, Hidden::DeadTime],
-        [Hidden::Saturation, Hidden::Asymmetry],
-    ];
-    pairs.iter().for_each(|p| ask(p, 10));
-    [Hidden::Cogging, Hidden::Warmth].iter().for_each(|h| ask(&[*h], 25));
-    let cases: Vec<Case> = asked.into_par_iter().map(|(hidden, seed)| Case::of(hidden, seed)).collect();
-    let of = |keep: &dyn Fn(&Case) -> bool| cases.iter().filter(|c| keep(c)).collect::<Vec<_>>();
-    let count = |some: &[&Case], hit: &dyn Fn(&Case) -> bool| share(some.iter().filter(|c| hit(c)).count(), some.len());
-    let known = |c: &Case| singles.contains(&c.hidden[0]);
-    let null = of(&|c| c.hidden == [Hidden::Nothing]);
-    let single = of(&|c| c.hidden.len() == 1 && known(c));
-    let pair = of(&|c| c.hidden.len() == 2);
-    let outside = of(&|c| !known(c) && c.hidden != [Hidden::Nothing]);
-    let mut table = String::from("| test | measured | accept |\n|---|---|---|\n");
-    let mut row = |what: &str, measured: String, accept: &str| {
-        table.push_str(&format!("| {what} | {measured} | {accept} |\n"));
-    };
-    row("nothing hidden: any name", count(&null, &|c| !c.answer.named().is_empty()), "≤ 2 %");
-    row("nothing hidden: `none`", count(&null, &|c| c.answer.verdict == Verdict::None), "≥ 95 %");
-    row("one effect: alone or in a set of at most 3", count(&single, &|c| c.found(c.hidden[0])), "≥ 92 %");
-    row("two effects: both", count(&pair, &|c| c.hidden.iter().all(|h| c.found(*h))), "≥ 75 %");
-    row("two effects: at least one", count(&pair, &|c| c.hidden.iter().any(|h| c.found(*h))), "≥ 97 %");
-    row("a wrong name, all", count(&of(&|_| true), &Case::wrong_name), "≤ 3 %");
-    row("outside the library: `unknown`", count(&outside, &|c| c.answer.verdict == Verdict::Unknown), "≥ 85 %");
-    row("outside the library: a name", count(&outside, &|c| !c.answer.named().is_empty()), "≤ 10 %");
-    // What is said with a probability is right as often, and an interval holds the truth as often, as it says; an interval where what is
-    // hidden was found without a wrong name beside it.
-    let sure = cases.iter().flat_map(|c| c.answer.effects.iter().map(move |e| (c, e)));
-    let sure: Vec<_> = sure.filter(|(_, e)| e.status == "named" && e.probability.is_some_and(|p| p >= 0.95)).collect();
-    let right = |(c, e): &&(&Case, &EffectAnswer)| c.hidden.iter().any(|h| h.names().contains(&e.name.as_str()));
-    row("named with a probability ≥ 0.95: right", share(sure.iter().filter(right).count(), sure.len()), "≥ 93 %");
-    let judged = |c: &&Case| {
-        let found = c.hidden.iter().all(|h| c.found(*h) || *h == Hidden::Nothing);
-        found && !c.wrong_name() && c.hidden[0] != Hidden::Warmth
-    };
-    let numbers: Vec<&Told> = cases.iter().filter(judged).flat_map(|c| &c.numbers).collect();
-    let held = |some: &[&Told]| share(some.iter().filter(|n| n.is_held()).count(), some.len());
-    row("95 % intervals that hold the truth, all", held(&numbers), "90 to 98 %");
-    let mut names: Vec<&str> = numbers.iter().map(|n| n.name).collect();
-    names.sort_unstable();
-    names.dedup();
-    table.push_str("\n| number | 95 % intervals that hold the truth | error of the middle one | half width of the middle one |\n|---|---|---|---|\n");
-    for name in names {
-        let some: Vec<&Told> = numbers.iter().copied().filter(|n| n.name == name).collect();
-        let middle = |of: &dyn Fn(&Told) -> f64| {
-            let mut all: Vec<f64> = some.iter().map(|n| 100.0 * of(n) / n.truth.abs()).collect();
-            all.sort_by(f64::total_cmp);
-            all[all.len() / 2]
-        };
-        let (error, half) =
-            (middle(&|n| (n.value - n.truth).abs()), middle(&|n| 0.5 * (n.interval[1] - n.interval[0])));
-        table.push_str(&format!("| `{name}` | {} | {error:.1} % | {half:.1} % |\n", held(&some)));
-    }
-    table.push_str("\n| hidden | found | named | a wrong name | `none` |\n|---|---|---|---|---|\n");
-    for h in singles.iter().chain(&[Hidden::Warmth]) {
-        let some = of(&|c| c.hidden == [*h]);
-        let n = |hit: &dyn Fn(&Case) -> bool| some.iter().filter(|c| hit(c)).count();
-        table.push_str(&format!(
-            "| {h:?} | {}/{} | {} | {} | {} |\n",
-            n(&|c| c.found(*h)),
-            some.len(),
-            n(&|c| c.named(*h)),
-            n(&Case::wrong_name),
-            n(&|c| c.answer.verdict == Verdict::None)
-        ));
-    }
-    let longest = cases.iter().map(|c| c.seconds).fold(0.0, f64::max);
-    println!("{table}\nlongest {longest:.1} s; seeds {from} to {}", cases.iter().map(|c| c.seed).max().unwrap_or(from));
-    if std::env::var_os("TWUM_WRITE_DOCS").is_some() {
-        let less = if part == 1 { String::new() } else { format!("TWUM_DRIVES={part} ") };
-        let text = format!(
-            "# Ordinary motors: how often the diagnosis finds what is hidden, and how often it errs\n\nPrinted by `TWUM_WRITE_DOCS=1 {less}cargo test --release \
-             -p twum-tests --test drives -- --ignored --nocapture three_hundred` from {} motors that nothing in the diagnosis was chosen on (seeds from \
-             {from}): orders of magnitude of gain, lag, noise and sampling, seven shapes of input, one of them a closed loop, and three kinds of sensor are \
-             drawn. Sizes are not scaled to what the record can show. Intervals are 95 % Wilson intervals.\n\n{table}",
-            cases.len()
-        );
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/drives.md");
-        std::fs::write(path, text).expect("docs can be written");
-    }
-    assert!(cases.iter().filter(|c| c.wrong_name()).count() * 10 <= cases.len(), "more than one wrong name in ten");
 }
