@@ -107,10 +107,18 @@ impl View<'_> {
                     estimate(&|k| format!("at_phase_{}", phase(k)), "1", 1.0, &fit),
                 )
             }
-            Column::Flexible(Basis::EveryOtherPeriod) => Said::elsewhere(
-                "speed·(1 + c) in one PWM period, speed·(1 − c) in the next".to_owned(),
-                estimate(&|_| "c".to_owned(), "1", 1.0, &fit),
-            ),
+            Column::Flexible(Basis::Periods(..)) => {
+                let name = |k: usize| match term.columns[k] {
+                    Column::Flexible(Basis::Periods(n, quarter)) => {
+                        format!("every_{n}_periods_{}", if quarter == 0 { "cos" } else { "sin" })
+                    }
+                    _ => String::new(),
+                };
+                Said::elsewhere(
+                    "speed·(1 + Σ a_n·cos(2πk/n) + b_n·sin(2πk/n)), k PWM periods since the start".to_owned(),
+                    estimate(&name, "1", 1.0, &fit),
+                )
+            }
             Column::Flexible(Basis::Slot) => Said::elsewhere(
                 "high slots are pitch·(1 + c) wide, low ones pitch·(1 − c)".to_owned(),
                 estimate(&|_| "c".to_owned(), "1", 1.0, &fit),
