@@ -306,6 +306,17 @@ mod tests {
         assert!(points.len() == 6 && points[5][0] == 2.5 && (points[5][1] - 0.03).abs() < 0.005, "{points:?}");
     }
 
+    /// Fails if a course that every run has of its own is lost in what sampling makes of it, or told of a motor that has none.
+    #[test]
+    fn a_course_of_its_own_in_every_run_is_told_by_its_size() {
+        const PLACE: &str = "time, each run its own";
+        let d = described(&|k, _, t, _| 0.05 * (TAU * t / 0.9 - 1.7 * k as f64).sin(), PLACE);
+        assert_holds(number(&d, "root_mean_square"), 0.05 * 0.5_f64.sqrt());
+        assert!(d.gain > 0.3 && d.curve == Curve::Elsewhere, "{d:?}");
+        let none = described(&|_, _, _, _| 0.0, PLACE);
+        assert!(number(&none, "root_mean_square").value < 0.003, "{none:?}");
+    }
+
     /// Fails if what differs with the direction is told with the wrong sign or size, or does not foretell runs left out.
     #[test]
     fn a_spread_over_the_direction_is_told_by_its_sides() {

@@ -37,11 +37,12 @@ pub fn own(ground: &Ground, set: &Set, term: &Term) -> Said {
     if term.harmonic { harmonics(ground.problem, term, &fits) } else { wander(ground.problem, term, &fits) }
 }
 
-/// Coefficients of every run, beside a gain of its own, a free speed of its own and the pairs of the set.
+/// Coefficients of every run, beside the pairs of the set and, of harmonics, a gain and a free speed of the run's own.
 fn fitted(ground: &Ground, set: &Set, term: &Term) -> Vec<Own> {
-    let mut columns = columns_of(&ground.free(&set.model, &set.parts)[..1]);
+    let mut columns = Vec::new();
     if term.harmonic {
-        // A wander has it: its hats add up to the speed.
+        // A wander has both: its hats add up to the speed, and beside a gain none of them would be sure.
+        columns.extend(columns_of(&ground.free(&set.model, &set.parts)[..1]));
         columns.push(Column::Flexible(Basis::Time(0, 1)));
     }
     columns.extend(set.parts.iter().flat_map(|p| &p.phased).flat_map(|p| p.columns()));
@@ -100,7 +101,21 @@ impl Size {
     }
 }
 
-/// Orders of a turn: those whose amplitude is none by no chance, the strongest three; the strongest one where all could be none.
+/// The sizes that are none by no chance, three at most; the largest one where all could be none. In their order.
+fn strongest(mut sizes: Vec<(usize, Size)>) -> Vec<(usize, Size)> {
+    sizes.sort_by(|a, b| b.1.value.total_cmp(&a.1.value));
+    let sure = |s: &(usize, Size)| s.1.interval[0] > 0.0;
+    if sizes.iter().any(sure) {
+        sizes.retain(sure);
+        sizes.truncate(MOST_ORDERS);
+    } else {
+        sizes.truncate(1);
+    }
+    sizes.sort_by_key(|s| s.0);
+    sizes
+}
+
+/// Orders of a turn in words and numbers.
 fn harmonics(problem: &Problem, term: &Term, fits: &[Own]) -> Said {
     let order = |k: usize| match term.columns[2 * k] {
         Column::Flexible(Basis::Angle(j)) => j / 2 + 1,
@@ -119,11 +134,7 @@ fn harmonics(problem: &Problem, term: &Term, fits: &[Own]) -> Said {
         };
         Size::of(&shown(k).iter().map(square).collect::<Vec<_>>())
     };
-    let mut sizes: Vec<(usize, Size)> = (0..term.columns.len() / 2).map(|k| (k, size(k))).collect();
-    sizes.sort_by(|a, b| b.1.value.total_cmp(&a.1.value));
-    let sure = sizes.iter().filter(|(_, s)| s.interval[0] > 0.0).count();
-    sizes.truncate(sure.clamp(1, MOST_ORDERS));
-    sizes.sort_by_key(|s| s.0);
+    let sizes = strongest((0..term.columns.len() / 2).map(|k| (k, size(k))).collect());
     // The run that turned farthest stands for all, as its phases do in the saved model.
     let farthest = |a: &&&Own, b: &&&Own| {
         let turned = |f: &Own| problem.runs[f.run].revolutions().abs();
@@ -157,20 +168,8 @@ fn wander(problem: &Problem, term: &Term, fits: &[Own]) -> Said {
     let n = term.columns.len();
     let longest_s = problem.runs.iter().map(|r| r.drive_end).fold(0.0, f64::max);
     let times: Vec<f64> = (0..n).map(|k| longest_s * k as f64 / (n - 1).max(1) as f64).collect();
-    let about_its_mean = |f: &Own| -> (Vec<f64>, f64) {
-        let seen: Vec<usize> = (0..n).filter(|k| f.covariance[(*k, *k)].sqrt() < SAYS_NOTHING).collect();
-        let count = seen.len().max(1) as f64;
-        let mean = seen.iter().map(|k| f.coefficients[*k]).sum::<f64>() / count;
-        let noise = seen.iter().map(|k| f.covariance[(*k, *k)]).sum::<f64>() / count;
-        let off = |k: usize| if seen.contains(&k) { f.coefficients[k] - mean } else { 0.0 };
-        ((0..n).map(off).collect(), noise)
-    };
-    let courses: Vec<(Vec<f64>, f64)> = fits.iter().map(about_its_mean).collect();
-    let square = |(course, noise): &(Vec<f64>, f64)| {
-        let seen = course.iter().filter(|c| **c != 0.0).count().max(1) as f64;
-        [course.iter().map(|c| c * c).sum::<f64>() / seen, *noise]
-    };
-    let size = Size::of(&courses.iter().map(square).collect::<Vec<_>>());
+    let courses: Vec<(Vec<f64>, [f64; 2])> = fits.iter().map(|f| about_its_mean(f, n)).collect();
+    let size = Size::of(&courses.iter().map(|c| c.1).collect::<Vec<_>>());
     let step = short(times.get(1).copied().unwrap_or(0.0));
     let curve = match courses.as_slice() {
         [(course, _)] => Curve::Time(times.iter().zip(course).map(|(t, c)| [*t, *c]).collect()),
@@ -184,9 +183,38 @@ fn wander(problem: &Problem, term: &Term, fits: &[Own]) -> Said {
     }
 }
 
+/// The knots of a run's course less its mean over time, and its mean square with what sampling makes of that. Between knots it is linear:
+/// at the knots themselves a course that bends is told too large.
+fn about_its_mean(f: &Own, n: usize) -> (Vec<f64>, [f64; 2]) {
+    let (c, v) = (&f.coefficients, &f.covariance);
+    let seen = |k: usize| v[(k, k)].sqrt() < SAYS_NOTHING;
+    let pieces: Vec<usize> = (1..n).filter(|k| seen(k - 1) && seen(*k)).collect();
+    let over = |of: &dyn Fn(usize, usize) -> f64| {
+        pieces.iter().map(|k| of(k - 1, *k)).sum::<f64>() / pieces.len().max(1) as f64
+    };
+    let mean = over(&|a, b| 0.5 * (c[a] + c[b]));
+    let course: Vec<f64> = (0..n).map(|k| if seen(k) { c[k] - mean } else { 0.0 }).collect();
+    let product = |a: usize, b: usize| course[a] * course[a] + course[a] * course[b] + course[b] * course[b];
+    let square = over(&|a, b| product(a, b) / 3.0);
+    let noise = over(&|a, b| (v[(a, a)] + v[(a, b)] + v[(b, b)]) / 3.0);
+    (course, [square, noise])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Fails if an order that could be none is told beside one that could not, or if none is told where all could be.
+    #[test]
+    fn what_could_be_none_is_told_alone_or_not_at_all() {
+        let size = |k: usize, value: f64, low: f64| (k, Size { value, interval: [low, 2.0 * value] });
+        let told = |sizes: Vec<(usize, Size)>| strongest(sizes).iter().map(|s| s.0).collect::<Vec<_>>();
+        let large = size(0, 0.05, 0.0);
+        assert_eq!(told(vec![large, size(1, 0.01, 0.008), size(2, 0.02, 0.0), size(3, 0.03, 0.02)]), [1, 3]);
+        assert_eq!(told(vec![size(0, 0.01, 0.0), size(1, 0.02, 0.0)]), [1]);
+        let five = (0..5).map(|k| size(k, 0.01 * (k + 1) as f64, 0.001)).collect();
+        assert_eq!(told(five), [2, 3, 4]);
+    }
 
     /// Fails if an amplitude holds what sampling makes of it, or an interval without a scatter between runs is not that of sampling.
     #[test]
