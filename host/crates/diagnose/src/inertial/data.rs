@@ -28,7 +28,7 @@ pub struct DriveRun {
     pub windows: Option<Vec<usize>>,
     /// Angle in revolutions at each sample, measured or summed up from the speed.
     pub turns: Vec<f64>,
-    /// Cosine and sine of every order of [`Data::ripples`] over the interval after each sample, as [`WAVES`]; empty where there is none.
+    /// Cosine and sine of every order of [`Data::ripples`] over the interval after each sample, as `WAVES`; empty where there is none.
     pub ripple: Vec<[f64; WAVES]>,
     /// Load relative to the largest of all runs, and kelvins above the mean temperature of all, over the interval after each sample; empty
     /// where neither was measured.
