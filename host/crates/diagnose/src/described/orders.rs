@@ -18,6 +18,8 @@ const MOST_ORDERS: usize = 3;
 const SAYS_NOTHING: f64 = 0.3;
 /// Smallest diagonal of the normal equations, as a share of the largest: of columns that a run does not show.
 const NEGLIGIBLE: f64 = 1e-9;
+/// Share of a square by which runs differ in it beyond sampling: a quarter of the amplitude, as pulses pass it on or not.
+const BETWEEN_RUNS: f64 = 0.5;
 /// Length of the mean of the runs' unit phases from which they are said to agree: within half a radian of each other.
 const AGREE: f64 = 0.9;
 /// Runs from which phases that agree do so by no chance: of four, once in a thousand.
@@ -75,18 +77,32 @@ struct Size {
 }
 
 impl Size {
-    /// Of squares with what sampling makes of each.
+    /// Of squares with what sampling makes of each. A run weighs by how surely it shows its own: a slow one hardly sees an order.
     fn of(squares: &[[f64; 2]]) -> Self {
-        let n = squares.len() as f64;
         let beyond: Vec<f64> = squares.iter().map(|s| s[0] - s[1]).collect();
-        let mean = beyond.iter().sum::<f64>() / n.max(1.0);
+        let mean_of = |weights: &[f64]| {
+            let sum: f64 = weights.iter().zip(&beyond).map(|(w, b)| w * b).sum();
+            sum / weights.iter().sum::<f64>().max(f64::MIN_POSITIVE)
+        };
+        // A square of mean m over a noise v in both coefficients together scatters by √(2·v·m + v²); and runs differ.
+        let weights_at = |mean: f64| -> Vec<f64> {
+            let variance = |v: f64| 2.0 * v * mean + v * v + (BETWEEN_RUNS * mean).powi(2);
+            squares.iter().map(|s| 1.0 / variance(s[1]).max(1e-20)).collect()
+        };
+        let mut weights = weights_at(0.0);
+        for _ in 0..4 {
+            weights = weights_at(mean_of(&weights).max(0.0));
+        }
+        let mean = mean_of(&weights);
+        let [total, squared] = weights.iter().fold([0.0; 2], |sum, w| [sum[0] + w, sum[1] + w * w]);
+        // As many runs of equal weight say as much.
+        let runs = total * total / squared.max(f64::MIN_POSITIVE);
         let half = if squares.len() > 1 {
-            let scatter = beyond.iter().map(|b| (b - mean).powi(2)).sum::<f64>() / (n - 1.0);
-            student_95(n - 1.0) * (scatter / n).sqrt()
+            let scatter: f64 = weights.iter().zip(&beyond).map(|(w, b)| (w * (b - mean)).powi(2)).sum();
+            student_95(runs - 1.0) * (scatter * runs / (runs - 1.0).max(0.5)).sqrt() / total
         } else {
-            // Of one run, what sampling makes: a square of mean m over a noise v in both coefficients scatters by 2·√(v/2·(m + v/2)).
-            let noise = 0.5 * squares.first().map_or(0.0, |s| s[1]);
-            NORMAL_95 * 2.0 * (noise * (mean.max(0.0) + noise)).sqrt()
+            let noise = squares.first().map_or(0.0, |s| s[1]);
+            NORMAL_95 * (2.0 * noise * mean.max(0.0) + noise * noise).sqrt()
         };
         let root = |square: f64| square.max(0.0).sqrt();
         let value = root(mean);
@@ -223,6 +239,10 @@ mod tests {
         assert!((size.value - 0.04).abs() < 1e-12, "{}", size.value);
         let none = Size::of(&[[0.0002, 0.0001], [0.0000, 0.0001], [0.0001, 0.0001]]);
         assert_eq!((none.value, none.interval[0]), (0.0, 0.0));
+        // One that sees nothing of it takes nothing away.
+        let [sure, unsure] = [[0.0017, 0.0001], [0.0201, 0.02]];
+        let mixed = Size::of(&[sure, unsure, sure, sure, unsure, sure]);
+        assert!((mixed.value - 0.04).abs() < 0.001 && mixed.interval[0] > 0.03, "{} {:?}", mixed.value, mixed.interval);
         let [one, sharper] = [1e-4, 1e-6].map(|noise| Size::of(&[[0.0016 + noise, noise]]));
         assert!(one.interval[1] - one.interval[0] > 3.0 * (sharper.interval[1] - sharper.interval[0]));
     }
