@@ -1,6 +1,6 @@
 //! What the gains of whole runs scatter by: by chance, with the duty, the direction, both, and the order of the runs.
 
-use super::discrepancy::{FREE_FORM_COST, TERM_COST};
+use super::discrepancy::TERM_COST;
 use super::problem::Problem;
 use nalgebra::{Cholesky, DMatrix, Dyn};
 
@@ -23,10 +23,10 @@ pub const FORM_ERROR: f64 = 0.06;
 const MEDIANS: Taus = [0.012, 0.006, 0.003, 0.003, 0.003];
 const LOG_SDS: Taus = [0.5, 0.45, 0.25, 0.35, 0.35];
 
-/// Or something that nobody knows lives there, some per cent large: a term without physics, at what one costs. Effects of the library are forms
-/// over the duty and over the direction; over the order they go one way, and what comes and goes with it is none of theirs.
+/// Or something that nobody knows comes and goes with the order, some per cent large, at what a term without physics costs: days, sessions, the
+/// weather. Effects of the library go one way over the order; over duty and direction an unknown curve would be a form of theirs.
 const UNKNOWN: (f64, f64) = (0.03, 0.7);
-const UNKNOWN_COSTS: Taus = [f64::INFINITY, FREE_FORM_COST, FREE_FORM_COST, FREE_FORM_COST, TERM_COST];
+const ORDER: usize = 4;
 
 /// Standard deviation of the gain that all runs share: the free speed was refitted.
 const COMMON: f64 = 0.1;
@@ -106,7 +106,7 @@ impl Level {
         let normal = |tau: f64, median: f64, log_sd: f64| -0.5 * ((tau / median).ln() / log_sd).powi(2);
         std::array::from_fn(|k| {
             let believed = normal(taus[k], self.medians[k], LOG_SDS[k]);
-            believed.max(normal(taus[k], UNKNOWN.0, UNKNOWN.1) - UNKNOWN_COSTS[k])
+            if k == ORDER { believed.max(normal(taus[k], UNKNOWN.0, UNKNOWN.1) - TERM_COST) } else { believed }
         })
     }
 
