@@ -377,7 +377,7 @@ fn left_over(ground: &Ground, scorer: &Scorer, judged: &Judgement, best: &Set) -
 mod tests {
     use super::*;
 
-    /// Fails if one of 74 staircases is believed where it leaves a fifth of what five duties spread: one in four does as well by chance.
+    /// Fails if one of 74 staircases is believed where it leaves a fifth of what five duties spread: 5³ is not 19 · 74.
     #[test]
     fn a_staircase_has_to_be_seen_at_more_duties_than_a_curve_has_numbers() {
         assert!(!stands_out([0.03, 0.006], 5, 74));

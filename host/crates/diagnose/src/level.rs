@@ -23,10 +23,12 @@ pub const FORM_ERROR: f64 = 0.06;
 const MEDIANS: Taus = [0.012, 0.006, 0.003, 0.003, 0.003];
 const LOG_SDS: Taus = [0.5, 0.45, 0.25, 0.35, 0.35];
 
+/// Which of them is that over the order.
+const ORDER: usize = 4;
+
 /// Or something that nobody knows comes and goes with the order, some per cent large, at what a term without physics costs: days, sessions, the
 /// weather. Effects of the library go one way over the order; over duty and direction an unknown curve would be a form of theirs.
 const UNKNOWN: (f64, f64) = (0.03, 0.7);
-const ORDER: usize = 4;
 
 /// Standard deviation of the gain that all runs share: the free speed was refitted.
 const COMMON: f64 = 0.1;
@@ -217,12 +219,11 @@ mod tests {
             let middle = |k: &usize| (10..20).contains(k);
             (0..30).map(|k| session * f64::from(u8::from(middle(&k))) + chance * dice.random_range(-1.0..1.0)).collect()
         };
-        let order = NAMES.iter().position(|n| *n == "order").expect("it is among them");
         let sessions = spreads(&level, &gains(0.08, 0.01));
-        assert!(level.log_priors(&sessions)[order] < -TERM_COST + 1.0, "{sessions:?}");
+        assert!(level.log_priors(&sessions)[ORDER] < -TERM_COST + 1.0, "{sessions:?}");
         let large = spreads(&level, &gains(0.5, 0.01));
-        assert!(large[0] < 0.03 && large[order] > 0.1, "taken for chance: {large:?}");
+        assert!(large[0] < 0.03 && large[ORDER] > 0.1, "taken for chance: {large:?}");
         let chance = spreads(&level, &gains(0.0, 0.04));
-        assert!(level.log_priors(&chance)[order] > -2.0, "{chance:?}");
+        assert!(level.log_priors(&chance)[ORDER] > -2.0, "{chance:?}");
     }
 }

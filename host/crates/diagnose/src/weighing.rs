@@ -71,12 +71,9 @@ impl Ground<'_> {
             powers: Vec::new(),
         };
         let mut weighed = scale.ask(&[], &start, &self.level).unwrap_or_else(failed);
-        let moved = root.map_or(0.0, |r| {
-            let square: f64 = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum();
-            (square / weighed.gains.len().max(1) as f64).sqrt()
-        });
-        if root.is_some() {
-            let level = self.level.beside_a_shift(moved);
+        if let Some(r) = root {
+            let shift = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
+            let level = self.level.beside_a_shift((shift / weighed.gains.len().max(1) as f64).sqrt());
             weighed = scale
                 .ask(&[], &Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() }, &level)
                 .unwrap_or_else(failed);
