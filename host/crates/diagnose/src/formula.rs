@@ -35,13 +35,20 @@ pub fn effect(described: &[DescribedAnswer], voltage_per_speed: f64) -> (Option<
 }
 
 fn together(terms: &[&DescribedAnswer], voltage_per_speed: f64) -> Option<Mine> {
-    let shapes: Vec<Shape> = terms.iter().filter_map(|t| shape(&t.curve)).collect();
+    let mut shapes: Vec<Shape> = terms.iter().filter_map(|t| shape(&t.curve)).collect();
+    for k in 1..shapes.len() {
+        // Two terms over one coordinate have a size each.
+        let before = shapes[..k].iter().filter(|s| s.name.starts_with(&shapes[k].name)).count();
+        if before > 0 {
+            shapes[k].name += &format!("_{}", before + 1);
+        }
+    }
     let change = shapes.iter().map(|s| format!("{}*({})", s.name, s.formula)).collect::<Vec<_>>().join(" + ");
     if change.chars().count() > LONGEST {
         return None;
     }
     // Bounds for who fits it again: none at all, or twice as much.
-    let number = |s: &Shape| Number { name: s.name.into(), role: Role::Typical(s.size), min: 0.0, max: 2.0 * s.size };
+    let number = |s: &Shape| Number { name: s.name.clone(), role: Role::Typical(s.size), min: 0.0, max: 2.0 * s.size };
     let places: Vec<&str> = terms.iter().map(|t| t.coordinate.as_str()).collect();
     let says = format!("no cause: what no effect of the library explains, over {}", places.join("; "));
     let hypothesis = Hypothesis::new(&says, ActsOn::Speed, &change, shapes.iter().map(number).collect()).ok()?;
@@ -53,7 +60,7 @@ fn together(terms: &[&DescribedAnswer], voltage_per_speed: f64) -> Option<Mine> 
 
 /// A curve: its largest change, and a formula of what of it is where.
 struct Shape {
-    name: &'static str,
+    name: String,
     size: f64,
     formula: String,
 }
@@ -61,8 +68,8 @@ struct Shape {
 /// None of a curve that is none, or over what formulas do not know.
 fn shape(curve: &Curve) -> Option<Shape> {
     let largest = |points: &[[f64; 2]]| points.iter().map(|p| p[1].abs()).fold(0.0, f64::max);
-    let of = |name, size: f64, formula: &dyn Fn() -> String| {
-        (size > 0.0 && size.is_finite()).then(|| Shape { name, size, formula: formula() })
+    let of = |name: &str, size: f64, formula: &dyn Fn() -> String| {
+        (size > 0.0 && size.is_finite()).then(|| Shape { name: name.to_owned(), size, formula: formula() })
     };
     match curve {
         Curve::Time(points) => {
@@ -161,6 +168,18 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Fails if of two terms over the angle, low orders and high ones, one is lost or has the other's size.
+    #[test]
+    fn two_terms_over_one_coordinate_are_both_said() {
+        let terms = [vec![[3.0, 0.04, 0.5]], vec![[11.0, 0.01, 0.0]]].map(|orders| described(Curve::Angle(orders)));
+        let (effect, left) = effect(&terms, 1.0);
+        assert_eq!(left, []);
+        let now = Now { turned_rad: 0.7, ..Now::default() };
+        let expected = 0.04 * (3.0 * 0.7_f64 - 0.5).cos() + 0.01 * (11.0 * 0.7_f64).cos();
+        let change = effect.expect("both can be said").change_of(ActsOn::Speed, &now);
+        assert!((change - expected).abs() < 1e-5, "{change}, not {expected}");
     }
 
     /// Fails if what is too long for a motor file takes what would fit with it, or a curve that is none makes an effect.
