@@ -173,11 +173,7 @@ fn table(path: &Path, layouts: &[&[&str]]) -> Result<Table, ReadError> {
         }
         Ok((number, values))
     };
-    // Many lines are read on every core; of several bad ones the first is named.
-    let rows = match body.par_iter().map(parse).collect::<Result<Vec<_>, _>>() {
-        Ok(rows) => rows,
-        Err(error) => return Err(body.iter().find_map(|l| parse(l).err()).unwrap_or(error)),
-    };
+    let rows = all_or_first_error(body.par_iter().map(parse))?;
     if rows.is_empty() {
         return Err(file(path, "has a header but no data"));
     }
@@ -271,6 +267,14 @@ fn frequency_in_name(path: &Path) -> Option<f64> {
     digits.trim_end_matches('.').parse().ok()
 }
 
+/// What was read on every core, or of several errors the one that stands first in the file: rayon's own `collect` keeps
+/// whichever came first in time.
+fn all_or_first_error<T: Send>(
+    read: impl IndexedParallelIterator<Item = Result<T, ReadError>>,
+) -> Result<Vec<T>, ReadError> {
+    read.collect::<Vec<_>>().into_iter().collect()
+}
+
 fn from_waveforms(
     path: &Path,
     waveforms: Vec<(PathBuf, usize, Waveform)>,
@@ -279,13 +283,10 @@ fn from_waveforms(
     let shunt = options.shunt_ohm.ok_or_else(|| {
         file(path, "holds waveforms: give the shunt resistance with --shunt OHM (the thesis's was 2000)")
     })?;
-    let points = waveforms
-        .par_iter()
-        .map(|(name, number, w)| {
-            point(w, shunt, options.shunt)
-                .map_err(|message| line(name, *number, format!("at {} Hz {message}", w.frequency_hz)))
-        })
-        .collect::<Result<Vec<Point>, _>>()?;
+    let points = all_or_first_error(waveforms.par_iter().map(|(name, number, w)| {
+        point(w, shunt, options.shunt)
+            .map_err(|message| line(name, *number, format!("at {} Hz {message}", w.frequency_hz)))
+    }))?;
     Ok(Sweep {
         source: path.display().to_string(),
         points,
