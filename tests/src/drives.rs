@@ -30,13 +30,15 @@ pub enum Hidden {
     Stribeck,
     /// A torque that goes with the angle.
     Cogging,
+    /// A load behind an elastic coupling, the sensor on either side of it.
+    Coupling,
     /// A gain that falls as the motor warms: no effect of the host's library.
     Warmth,
 }
 
 impl Hidden {
     /// Those of the host's library.
-    pub const KNOWN: [Hidden; 8] = [
+    pub const KNOWN: [Hidden; 9] = [
         Hidden::Coulomb,
         Hidden::DeadZone,
         Hidden::Saturation,
@@ -45,6 +47,7 @@ impl Hidden {
         Hidden::DeadTime,
         Hidden::Stribeck,
         Hidden::Cogging,
+        Hidden::Coupling,
     ];
 
     /// How the place begins in which the host should see what has no name in its library.
@@ -67,6 +70,7 @@ impl Hidden {
             Hidden::DeadTime => &["dead-time"],
             Hidden::Stribeck => &["stribeck-friction", "coulomb-friction"],
             Hidden::Cogging => &["cogging"],
+            Hidden::Coupling => &["coupling-resonance"],
         }
     }
 }
@@ -218,6 +222,7 @@ impl Drive {
                 Hidden::Load => Some(("bias", 0.06 * self.size / most)),
                 Hidden::DeadTime => Some(("dead_time_s", (6.0 * self.size).round() * self.period)),
                 Hidden::Cogging => Some(("cogging", 0.2 * self.size / most)),
+                Hidden::Coupling => Some(("swing_s", self.coupling().swing_s)),
                 Hidden::Nothing | Hidden::Saturation | Hidden::Stribeck | Hidden::Warmth => None,
             });
         }
@@ -283,7 +288,11 @@ impl Drive {
     fn steps(&self) -> usize {
         // Teeth that pass at full speed are quicker than the lag: a radian of them is as short as it gets.
         let tooth = 60.0 / (std::f64::consts::TAU * self.ripples * self.gain);
-        let shortest = if self.has(Hidden::Cogging) { self.lag.min(tooth) } else { self.lag };
+        let mut shortest = if self.has(Hidden::Cogging) { self.lag.min(tooth) } else { self.lag };
+        if self.has(Hidden::Coupling) {
+            // In steps of a sixtieth the swing itself would be a fifth of a per cent off.
+            shortest = shortest.min(self.coupling().swing_s / 6.0);
+        }
         (60.0 * self.period / shortest).ceil().max(20.0) as usize
     }
 
@@ -301,12 +310,12 @@ impl Drive {
         let normal = Normal::new(0.0, 1.0).expect("a unit normal");
         let levels: Vec<f64> = (0..400).map(|_| rng.random_range(-1.0..1.0)).collect();
         let gain = self.gain * (1.0 + 0.003 * normal.sample(rng));
-        let (mut rotor, mut integral) = (Rotor { speed: 0.0, turns: 0.0 }, 0.0);
+        let (mut rotor, mut integral) = (Rotor::at(0.0), 0.0);
         let mut inputs: Vec<f64> = Vec::new();
         let mut record = Record { time_us: Vec::new(), input: Vec::new(), rpm: Vec::new(), angle_rad: None };
         let mut angle = Vec::new();
         for k in 0..self.samples {
-            let noisy = rotor.speed + self.noise * self.gain * normal.sample(rng);
+            let noisy = self.seen(&rotor) + self.noise * self.gain * normal.sample(rng);
             let measured = match self.sensor {
                 Sensor::Rounded(step) => (noisy / step).round() * step,
                 _ => noisy,
@@ -351,11 +360,33 @@ impl Drive {
             } else {
                 0.0
             };
+            let before = rotor.speed;
             let free: f64 = rotor.speed + h / lag * (gain * (drive + cogging) - rotor.speed);
             // Friction takes away at most what there is.
             let brake = h / lag * gain * self.friction(rotor.speed);
             rotor.speed = if free.abs() <= brake { 0.0 } else { free - brake * free.signum() };
-            rotor.turns += rotor.speed * h / 60.0;
+            if self.has(Hidden::Coupling) {
+                self.coupling().turn(rotor, before, h);
+            }
+            rotor.turns += self.seen(rotor) * h / 60.0;
+        }
+    }
+
+    /// The speed that the sensor sees: every other motor's load, where there is one.
+    fn seen(&self, rotor: &Rotor) -> f64 {
+        if self.has(Hidden::Coupling) && self.seed.is_multiple_of(2) { rotor.load } else { rotor.speed }
+    }
+
+    /// The coupling of this motor, if it has one: quicker than the lag, or it were another lag; not so quick that no sample sees it.
+    fn coupling(&self) -> Coupling {
+        let of = |salt: f64, low: f64, high: f64| {
+            let share = (self.seed as f64 * 0.618_033_988_7 * salt).fract();
+            low * (high / low).powf(share)
+        };
+        Coupling {
+            swing_s: (self.lag * of(1.0, 0.04, 0.25)).max(0.8 * self.period),
+            damping: of(3.0, 0.02, 0.2),
+            share: of(7.0, 0.4, 2.5),
         }
     }
 }
@@ -364,5 +395,43 @@ impl Drive {
 struct Rotor {
     /// In rpm.
     speed: f64,
+    /// Turns that the sensor saw.
     turns: f64,
+    /// Speed of the load behind the coupling in rpm, and how far it is behind in rpm·s.
+    load: f64,
+    twist: f64,
+}
+
+impl Rotor {
+    /// One that turns with its load at a speed in rpm.
+    fn at(speed: f64) -> Self {
+        Self { speed, turns: 0.0, load: speed, twist: 0.0 }
+    }
+}
+
+/// A spring with some damping between the motor and a load.
+struct Coupling {
+    /// 1/ω₀ of the two inertias against one another, in s.
+    swing_s: f64,
+    damping: f64,
+    /// Inertia of the load over the motor's.
+    share: f64,
+}
+
+impl Coupling {
+    /// Spring and damper over the load's inertia, in 1/s² and 1/s.
+    fn parts(&self) -> (f64, f64) {
+        let of = 1.0 + self.share;
+        (self.swing_s.powi(-2) / of, 2.0 * self.damping / self.swing_s / of)
+    }
+
+    /// Moves on by `h`: what the torques from outside changed of the speed of both, `before` it, they change of the motor's alone, by the
+    /// more as it is the lighter.
+    fn turn(&self, rotor: &mut Rotor, before: f64, h: f64) {
+        let (spring, damper) = self.parts();
+        let torque = spring * rotor.twist + damper * (before - rotor.load);
+        rotor.speed = before + (1.0 + self.share) * (rotor.speed - before) - h * self.share * torque;
+        rotor.load += h * torque;
+        rotor.twist += h * (rotor.speed - rotor.load);
+    }
 }

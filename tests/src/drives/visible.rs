@@ -52,10 +52,10 @@ impl Drive {
     /// The speeds of these inputs without noise, as they are measured: at the samples, or over windows of a lag where counts are.
     fn clean(&self, inputs: &[Vec<f64>], motor: &Refit) -> Vec<Vec<f64>> {
         let one = |(input, start): (&Vec<f64>, &f64)| {
-            let mut rotor = Rotor { speed: start * self.gain, turns: 0.0 };
+            let mut rotor = Rotor::at(start * self.gain);
             let (mut speeds, mut turns) = (Vec::new(), Vec::new());
             for k in 0..input.len() {
-                speeds.push(rotor.speed);
+                speeds.push(self.seen(&rotor));
                 turns.push(rotor.turns);
                 self.turn(&mut rotor, self.driven(input, k), motor.gain * self.gain, motor.lag * self.lag);
             }

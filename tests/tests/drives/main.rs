@@ -96,6 +96,23 @@ fn cogging_is_found_in_its_order() {
     }
 }
 
+/// Fails if a load that swings on its coupling is no longer seen, on either side of it, or has another frequency.
+#[test]
+fn a_coupling_is_found_with_its_frequency() {
+    let answers: Vec<(u64, Diagnosis)> = [18_402, 18_404, 18_413]
+        .into_par_iter()
+        .map(|seed| (seed, answer(Drive::draw_any(&[Hidden::Coupling], seed).make())))
+        .collect();
+    for (seed, d) in &answers {
+        assert_eq!(d.named(), ["coupling-resonance"], "{seed}: {:?} {:?}", d.suspected(), d.unknown);
+        let told =
+            d.effects.iter().find(|e| e.name == "coupling-resonance").expect("it is named").parameters["swing_s"].value;
+        let truth = Drive::draw_any(&[Hidden::Coupling], *seed).truth(&[]);
+        let (_, swing_s) = truth.into_iter().find(|t| t.0 == "swing_s").expect("it has one");
+        assert!((told / swing_s - 1.0).abs() < 0.01, "{seed}: {told} {swing_s}");
+    }
+}
+
 /// Fails if something small that an effect takes of an error gets a name beside the structure of all the rest.
 #[test]
 fn cogging_that_is_not_in_the_library_lends_its_error_to_no_other() {

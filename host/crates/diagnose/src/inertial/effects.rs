@@ -78,8 +78,24 @@ const AROUND_THE_THRESHOLD: &str = "let the motor run down from full speed at in
      coast along an exponential; then sweep the input slowly through zero: friction with a peak at rest shows a loop";
 const OTHER_WAY_ROUND: &str = "mount the motor the other way round and repeat the sweep: a load changes sides, the motor's own asymmetry does not";
 
+/// Times of swinging from which a resonance is looked for, in samples, each so near the next that a fit from one of the two arrives: a swing
+/// is felt over a period that differs by a third.
+const SWINGS: [&[f64]; 8] = [
+    &[0.6, 0.1, 0.5],
+    &[1.0, 0.1, 0.5],
+    &[1.7, 0.1, 0.5],
+    &[2.9, 0.1, 0.5],
+    &[4.9, 0.1, 0.5],
+    &[8.4, 0.1, 0.5],
+    &[14.0, 0.1, 0.5],
+    &[24.0, 0.1, 0.5],
+];
+
+/// Least damping ratio of a coupling: steel in vacuum.
+pub const LEAST_DAMPING: f64 = 1e-3;
+
 /// The library.
-pub const EFFECTS: [Effect; 10] = [
+pub const EFFECTS: [Effect; 11] = [
     Effect {
         name: "coulomb-friction",
         says: "a friction that does not depend on the speed brakes all motion and holds the motor at small inputs",
@@ -161,6 +177,18 @@ pub const EFFECTS: [Effect; 10] = [
         own: true,
     },
     Effect {
+        name: "coupling-resonance",
+        says: "motor and load swing against one another on an elastic coupling (belt, shaft, gear)",
+        equation: "τ·ω₁' = (1 + r)·(K·u − ω₁) − τ·r·M, ω₂' = M = ω₀²/(1 + r)·(φ + 2·ζ/ω₀·φ'), φ' = ω₁ − ω₂",
+        coordinate: Coordinate::Time,
+        forms: &[
+            Form { numbers: &[P::Swing, P::SwingDamping, P::SwingOfMotor], starts: &SWINGS, needs: &[] },
+            Form { numbers: &[P::Swing, P::SwingDamping, P::SwingOfLoad], starts: &SWINGS, needs: &[] },
+        ],
+        next_experiment: "hold the load and repeat a step: what swings on the coupling then swings at another frequency, or not at all",
+        own: false,
+    },
+    Effect {
         name: "cogging",
         says: "a torque goes with the angle: teeth and magnets hold the rotor at some places and pull it on between them",
         equation: "u → u + A·cos(n·θ − φ), at n and another order, or u → u·(1 + A·cos(n·θ − φ))",
@@ -214,6 +242,10 @@ pub fn reported(number: P) -> (&'static str, &'static str) {
         P::Heating => ("loss_per_kelvin", "1/K"),
         P::Corner => ("threshold_corner", "1"),
         P::StribeckSpeed => ("stribeck_speed", "1"),
+        P::Swing => ("swing_s", "s"),
+        P::SwingDamping => ("damping_ratio", "1"),
+        P::SwingOfMotor => ("inertia_ratio_motor_seen", "1"),
+        P::SwingOfLoad => ("inertia_ratio_load_seen", "1"),
     }
 }
 
@@ -229,7 +261,7 @@ pub fn over_angle(number: P) -> Option<(P, usize)> {
 
 /// Whether a number is a time that [`Form::starts`] gives in samples.
 pub fn is_time(number: P) -> bool {
-    matches!(number, P::DeadTime | P::SecondLag)
+    matches!(number, P::DeadTime | P::SecondLag | P::Swing)
 }
 
 /// What the search leaves out of a number's form, with where its fit begins: it hardly moves the speeds, but it moves the numbers.
@@ -299,5 +331,10 @@ pub fn free(number: P, data: &Data) -> Free {
         // A ripple of some per cent rounds the corner, and friction falls within some per cent of the speed.
         P::Corner => around_zero(0.05, (0.0, 0.3), 1e-4),
         P::StribeckSpeed => around_zero(0.05, (0.0, 0.5), 1e-4),
+        P::Swing => around_zero(10.0 * shortest, (0.0, 0.03 * longest), 0.02 * shortest),
+        // Steel rings with hundredths, a belt dies within a swing; beyond, two lags are what is seen.
+        P::SwingDamping => around_zero(0.15, (LEAST_DAMPING, 0.7), 1e-3),
+        // A load ten times the motor's inertia holds it still at the resonance.
+        P::SwingOfMotor | P::SwingOfLoad => around_zero(2.0, (1e-2, 30.0), 1e-3),
     }
 }

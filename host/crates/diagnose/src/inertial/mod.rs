@@ -22,6 +22,7 @@ mod report;
 mod ripple;
 mod search;
 mod sets;
+mod swing;
 mod thin;
 mod values;
 mod weigh;
@@ -74,8 +75,11 @@ fn not_judged_reason(name: &str, data: &Data) -> Option<String> {
     match name {
         "direction-asymmetry" | "load-bias" if !both => Some("needs inputs of both signs".to_owned()),
         "direction-asymmetry" | "load-bias" if data.unsigned => Some("needs a speed with its sign".to_owned()),
-        "dead-time" | "second-lag" if data.passes_once() => {
+        "dead-time" | "second-lag" | "coupling-resonance" if data.passes_once() => {
             Some("needs an input that comes back: over one pass a delay looks like a threshold".to_owned())
+        }
+        "coupling-resonance" if conclude::starts(data) < 2 => {
+            Some("needs a second start: over one, a swing looks like what friction and delays make of it".to_owned())
         }
         "heating" => match data.temperature {
             None => Some("needs a column `temperature`".to_owned()),

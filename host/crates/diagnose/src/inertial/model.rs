@@ -347,9 +347,11 @@ fn admissible(number: P) -> (f64, f64) {
         P::Gain => (-1e9, 1e9),
         P::LogLag => (1e-9, 1e6),
         P::Skew => (-1e3, 1e3),
-        P::DeadTime | P::SecondLag => (0.0, 1e6),
-        P::Coulomb | P::Stiction | P::DeadZone | P::FlatTop | P::Corner | P::StribeckSpeed => (0.0, 1.0),
-        P::Bend | P::BendPower => (0.0, 100.0),
+        P::DeadTime | P::SecondLag | P::Swing => (0.0, 1e6),
+        P::Coulomb | P::Stiction | P::DeadZone | P::FlatTop | P::Corner | P::StribeckSpeed | P::SwingDamping => {
+            (0.0, 1.0)
+        }
+        P::Bend | P::BendPower | P::SwingOfMotor | P::SwingOfLoad => (0.0, 100.0),
         P::Load => (-1e3, 1e3),
         _ => (-1.0, 1.0),
     }

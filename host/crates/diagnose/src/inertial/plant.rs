@@ -3,10 +3,12 @@
 //! τ·ω̇ = K·(x − b) − ω − K·F·sign(ω), where x is the input after dead time, the actuator's map and a second lag, F the friction and b
 //! a load, both as shares of the largest input. At rest the rotor stays while |x − b| is no more than the friction at rest.
 //! Between two changes of the input x is constant or approaches its goal exponentially, so ω is a sum of exponentials; the
-//! instants at which the rotor stops or breaks away are found in closed form (with a second lag: stops by bisection).
+//! instants at which the rotor stops or breaks away are found in closed form (with a second lag: stops by bisection). What a load on an
+//! elastic coupling adds is exact too but where friction or a second lag bend the course of an exponential.
 
 use super::aside::Aside;
 use super::data::{Data, DriveRun};
+use super::swing::Swing;
 use super::values::{P, Values};
 
 /// What is simulated of a run.
@@ -42,6 +44,24 @@ struct State {
     x: f64,
     /// Integral of the speed in rpm·s.
     way: f64,
+    /// What an elastic coupling adds to both.
+    swing: Option<Swing>,
+}
+
+impl State {
+    /// The speed becomes another one in `h`.
+    fn change(&mut self, h: f64, speed: f64) {
+        if let Some(swing) = self.swing.as_mut().filter(|_| h > 0.0) {
+            swing.advance(h, speed - self.speed);
+        }
+        self.speed = speed;
+    }
+
+    /// Speed in rpm and way in rpm·s that the sensor sees.
+    fn seen(&self) -> (f64, f64) {
+        let swing = self.swing.as_ref();
+        swing.map_or((self.speed, self.way), |s| (self.speed + s.rpm(), self.way + s.way(self.speed)))
+    }
 }
 
 struct Solver<'a> {
@@ -170,6 +190,7 @@ impl Solver<'_> {
             if s.speed == 0.0 {
                 let (still, towards) = self.rest(s, goal, left);
                 self.approach(s, goal, still);
+                s.change(still, 0.0);
                 left -= still;
                 if towards == 0.0 || left <= 0.0 {
                     return;
@@ -187,7 +208,7 @@ impl Solver<'_> {
             let until = self.reaches(level, s, goal, sense, left, drag);
             s.way += self.slip(s, goal, sense, until, self.decay(until), drag).1;
             // A hair within the band that is entered.
-            s.speed = if level == drag.band.1 { sense * level } else { sense * level * (1.0 - 1e-12) };
+            s.change(until, if level == drag.band.1 { sense * level } else { sense * level * (1.0 - 1e-12) });
             self.approach(s, goal, until);
             left -= until.max(1e-12 * h);
         }
@@ -196,7 +217,7 @@ impl Solver<'_> {
     /// Slips for the whole of `h`.
     fn move_on(&self, s: &mut State, goal: f64, sense: f64, h: f64, decay: [f64; 2], drag: Drag) {
         let (speed, way) = self.slip(s, goal, sense, h, decay, drag);
-        s.speed = speed;
+        s.change(h, speed);
         s.way += way;
         s.x = if self.second == 0.0 { goal } else { goal + (s.x - goal) * decay[1] };
     }
@@ -218,7 +239,8 @@ pub fn simulate(run: &DriveRun, values: &Values, start_rpm: f64, unsigned: bool)
 
 /// The same where what the actuator makes of the inputs is known.
 pub fn simulate_goals(run: &DriveRun, values: &Values, goals: &[f64], start_rpm: f64, unsigned: bool) -> Motion {
-    let lag = values.lag_s();
+    let swing = Swing::of(values);
+    let lag = swing.as_ref().map_or(values.lag_s(), Swing::lag_s);
     let mut second = values.get(P::SecondLag).max(0.0);
     // Equal lags have another closed form; a part in ten thousand away from it nothing is lost.
     if (second / lag - 1.0).abs() < 1e-4 {
@@ -233,7 +255,7 @@ pub fn simulate_goals(run: &DriveRun, values: &Values, goals: &[f64], start_rpm:
     let mut solver = Solver { values, lag, second, decays, held, aside: Aside::default() };
     let delay = values.get(P::Skew) * run.period_s + values.get(P::DeadTime);
     let n = run.time.len();
-    let mut state = State { speed: start_rpm, x: goals[0], way: 0.0 };
+    let mut state = State { speed: start_rpm, x: goals[0], way: 0.0, swing };
     let mut applied = 0;
     let mut now = run.time[0];
     while applied + 1 < n && run.time[applied + 1] + delay <= now {
@@ -263,12 +285,13 @@ pub fn simulate_goals(run: &DriveRun, values: &Values, goals: &[f64], start_rpm:
         // A torque that changes within the interval, as over the angle of a rotor that turns; one at rest has none that does.
         let [torque, share] = solver.aside.way;
         state.way += values.get(P::Gain) * (torque + share * state.x) * (until - run.time[k - 1]);
+        let (speed, way) = state.seen();
         match &run.windows {
-            None => out.push(magnitude(state.speed)),
+            None => out.push(magnitude(speed)),
             Some(ends) if ends.get(window.0 + 1) == Some(&k) => {
                 let seconds = run.time[k] - run.time[ends[window.0]];
-                out.push(magnitude((state.way - window.1) / seconds));
-                window = (window.0 + 1, state.way);
+                out.push(magnitude((way - window.1) / seconds));
+                window = (window.0 + 1, way);
             }
             Some(_) => {}
         }

@@ -266,7 +266,7 @@ fn phases(runs: &[Taken]) -> Vec<f64> {
 }
 
 /// The way between the ends of what a run went through, in turns.
-fn span(run: &DriveRun) -> f64 {
+pub fn span(run: &DriveRun) -> f64 {
     let (low, high) = run.turns.iter().fold((f64::MAX, f64::MIN), |(a, b), t| (a.min(*t), b.max(*t)));
     high - low
 }

@@ -9,7 +9,7 @@ use super::data::Data;
 use super::effects::{EFFECTS, Free, free, over_angle, refined_by};
 use super::fit::{Noise, Plant, log_prior, misfit, refit, refit_to_the_end};
 use super::plant::simulate_all;
-use super::ripple::followed;
+use super::ripple::{followed, span};
 use super::values::{P, Values};
 use super::weigh::{Evidence, Terms, weigh_plant};
 use rayon::prelude::*;
@@ -19,6 +19,9 @@ pub const GAIN_SPREAD: f64 = 0.02;
 /// Steps of a look, and of a refit that counts.
 pub const LOOK: usize = 4;
 pub const STEPS: usize = 40;
+/// Periods over which a torque that goes with the input and the angle has to be seen: of such as were another effect's, none of five went
+/// through more than 1.4.
+const LEAST_RIPPLES: f64 = 2.0;
 /// Times that other valleys are looked for.
 const SCANS: usize = 3;
 /// Size, in deviations of what is believed, below which an effect is none.
@@ -294,7 +297,8 @@ impl<'a> Ground<'a> {
             let size = free.iter().find(|f| f.number == EFFECTS[p.effect].forms[p.form].numbers[0]);
             size.is_some_and(|f| f.bounds.0 == 0.0 && plant.values.get(f.number) < LEAST_SIZE * f.sd)
         };
-        let log = if parts.iter().any(sizeless) { f64::NEG_INFINITY } else { log };
+        let none = parts.iter().any(sizeless) || free.iter().any(|f| no_swing(f, &plant.values));
+        let log = if none { f64::NEG_INFINITY } else { log };
         let orders = parts.iter().map(|p| self.orders_of(p)).max().unwrap_or(0);
         let chosen: f64 = self.data.ripples.iter().take(orders).map(Ripple::cost).sum();
         let score = log + prior - chosen - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
@@ -322,7 +326,11 @@ impl<'a> Ground<'a> {
     pub fn makes_sense(&self, part: Part, beside: &[Part]) -> bool {
         let numbers = |p: &Part| EFFECTS[p.effect].forms[p.form].numbers;
         let orders = self.orders_of(&part) <= self.data.ripples.len();
+        // Over a period or so, what goes with the input and the angle is any curve over the input or the time.
+        let way = || self.data.runs.iter().map(span).fold(0.0, f64::max);
+        let periods = || self.data.ripples.first().map_or(0.0, |r| r.order as f64 * way());
         orders
+            && (!numbers(&part).contains(&P::RippleCos) || periods() >= LEAST_RIPPLES)
             && EFFECTS[part.effect].forms[part.form].needs.iter().all(|n| beside.iter().any(|p| numbers(p).contains(n)))
     }
 
@@ -359,6 +367,13 @@ fn neighbours(number: P) -> &'static [f64] {
         P::Bend => &[0.4, 1.6, 3.0],
         _ => &[],
     }
+}
+
+/// Whether a number says that a load swings for ever, not at all, or weighs nothing: it is then some other thing whose form the library has not.
+pub fn no_swing(f: &Free, values: &Values) -> bool {
+    let swings = [P::SwingDamping, P::SwingOfMotor, P::SwingOfLoad];
+    let value = values.get(f.number);
+    swings.contains(&f.number) && (value < 1.05 * f.bounds.0 || value > 0.95 * f.bounds.1)
 }
 
 /// How many samples what a plant misses lasts: (1 + ρ)/(1 − ρ) of neighbours that are correlated by ρ.

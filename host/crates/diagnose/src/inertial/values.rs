@@ -53,6 +53,14 @@ pub enum P {
     Corner,
     /// Speed at which what friction at rest has more is gone, as a share of the gain; 0: at once.
     StribeckSpeed,
+    /// Time in s in which a load behind an elastic coupling swings through a radian, 1/ω.
+    Swing,
+    /// Damping ratio of that.
+    SwingDamping,
+    /// Inertia of the load over the motor's, of which the motor is seen.
+    SwingOfMotor,
+    /// The same, where the load is seen.
+    SwingOfLoad,
 }
 
 impl P {
@@ -83,11 +91,15 @@ impl P {
         P::Heating,
         P::Corner,
         P::StribeckSpeed,
+        P::Swing,
+        P::SwingDamping,
+        P::SwingOfMotor,
+        P::SwingOfLoad,
     ];
 }
 
 /// How many numbers there are.
-pub const COUNT: usize = P::StribeckSpeed as usize + 1;
+pub const COUNT: usize = P::SwingOfLoad as usize + 1;
 
 /// All numbers of a plant.
 #[derive(Debug, Clone, Copy, PartialEq)]
