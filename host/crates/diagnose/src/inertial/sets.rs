@@ -297,7 +297,9 @@ impl<'a> Ground<'a> {
             let size = free.iter().find(|f| f.number == EFFECTS[p.effect].forms[p.form].numbers[0]);
             size.is_some_and(|f| f.bounds.0 == 0.0 && plant.values.get(f.number) < LEAST_SIZE * f.sd)
         };
-        let none = parts.iter().any(sizeless) || free.iter().any(|f| no_swing(f, &plant.values));
+        // Of a load that is seen the search hardly tells the weight: only the motor's friction shows it.
+        let no_swing = |f: &Free| f.number != P::SwingOfLoad && no_swing(f, &plant.values);
+        let none = parts.iter().any(sizeless) || free.iter().any(no_swing);
         let log = if none { f64::NEG_INFINITY } else { log };
         let orders = parts.iter().map(|p| self.orders_of(p)).max().unwrap_or(0);
         let chosen: f64 = self.data.ripples.iter().take(orders).map(Ripple::cost).sum();
