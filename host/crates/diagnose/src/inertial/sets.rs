@@ -22,6 +22,8 @@ pub const STEPS: usize = 40;
 /// Periods over which a torque that goes with the input and the angle has to be seen: of such as were another effect's, none of five went
 /// through more than 1.4.
 const LEAST_RIPPLES: f64 = 2.0;
+/// Share of the lag within which a load swings through a radian: the friction that makes the lag damps slower ones as they begin.
+const SLOWEST_SWING: f64 = 0.5;
 /// Times that other valleys are looked for.
 const SCANS: usize = 3;
 /// Size, in deviations of what is believed, below which an effect is none.
@@ -371,11 +373,15 @@ fn neighbours(number: P) -> &'static [f64] {
     }
 }
 
-/// Whether a number says that a load swings for ever, not at all, or weighs nothing: it is then some other thing whose form the library has not.
+/// Whether a number says that a load swings for ever, not at all, as slowly as the lag, or weighs nothing: it is then some other thing whose form
+/// the library has not.
 pub fn no_swing(f: &Free, values: &Values) -> bool {
-    let swings = [P::SwingDamping, P::SwingOfMotor, P::SwingOfLoad];
     let value = values.get(f.number);
-    swings.contains(&f.number) && (value < 1.05 * f.bounds.0 || value > 0.95 * f.bounds.1)
+    match f.number {
+        P::Swing => value > SLOWEST_SWING * values.lag_s(),
+        P::SwingDamping | P::SwingOfMotor | P::SwingOfLoad => value < 1.05 * f.bounds.0 || value > 0.95 * f.bounds.1,
+        _ => false,
+    }
 }
 
 /// How many samples what a plant misses lasts: (1 + ρ)/(1 − ρ) of neighbours that are correlated by ρ.
