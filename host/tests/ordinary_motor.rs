@@ -108,6 +108,7 @@ fn a_saved_motor_repeats_the_runs_it_was_fitted_to() {
         ("gain_rpm =", "# gain_rpm =", "gain_rpm is missing"),
         ("largest_input =", "largest_input = -1 #", "largest_input"),
         ("coulomb =", "coulomb = nan #", "numbers.coulomb"),
+        ("lag_s =", "swing_s = 0.001\nlag_s =", "numbers.swing_s goes with one of"),
     ] {
         std::fs::write(folder.path().join("wrong.toml"), text.replace(from, to)).unwrap();
         refused(&["compare", EXAMPLE, "--motor", "wrong.toml"], word);

@@ -113,6 +113,33 @@ fn a_coupling_is_found_with_its_frequency() {
     }
 }
 
+/// Fails if a swing that dies at once, that no input shakes or that is as slow as the lag, or a ripple of the torque over less than two of its
+/// periods, is named for what is not in the library.
+#[test]
+fn what_is_not_in_the_library_is_no_swing_and_no_ripple() {
+    let asked = [
+        (Hidden::Warmth, 80_323, vec![]),
+        (Hidden::Warmth, 80_306, vec![]),
+        (Hidden::DeadZone, 80_151, vec!["dead-zone"]),
+        (Hidden::DeadZone, 18_577, vec!["dead-zone"]),
+    ];
+    let answers: Vec<(u64, Diagnosis)> = asked
+        .into_par_iter()
+        .map(|(hidden, seed, without)| (seed, answer_without(Drive::draw_any(&[hidden], seed).make(), &without).0))
+        .collect();
+    for (seed, d) in &answers {
+        assert!(d.named().iter().all(|n| *n == "coulomb-friction"), "{seed}: {:?}", d.named());
+    }
+}
+
+/// Fails if nothing is said of a form that is not the motor's: a load stands for an asymmetry that is not in the library.
+#[test]
+fn a_form_that_leaves_structure_says_so() {
+    let d = answer_without(Drive::draw_any(&[Hidden::Asymmetry], 18_099).make(), &["direction-asymmetry"]).0;
+    assert_eq!(d.named(), ["load-bias"], "{:?}", d.suspected());
+    assert!(d.effects[0].note.contains("follows from sample to sample"), "{:?}", d.effects[0].note);
+}
+
 /// Fails if something small that an effect takes of an error gets a name beside the structure of all the rest.
 #[test]
 fn cogging_that_is_not_in_the_library_lends_its_error_to_no_other() {

@@ -5,7 +5,7 @@ use super::super::stats::HeldOut;
 use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, MOST_BESIDE, TEMPERATURE, Visited, judge};
 use super::compensation::Fitted;
 use super::data::Data;
-use super::effects::{Coordinate, EFFECTS, LEAST_DAMPING, free, reported, twin};
+use super::effects::{Coordinate, EFFECTS, free, reported, twin};
 use super::fit::Plant;
 use super::held_out::{Chance, Scorer, squared_error};
 use super::numbers::{estimates, own_numbers};
@@ -281,19 +281,16 @@ impl View<'_> {
                 Chance::new(self.ground, &less, &with, self.repetitions, self.seed).p(part.effect, Some(&held))
             }
         };
-        // A size that could be none is no cause yet, and what could swing for ever was not seen to swing.
-        let least = [(reported(P::SwingDamping).0, LEAST_DAMPING), (reported(P::Swing).0, 0.0)];
-        let no_swing = numbers.iter().any(|n| no_swing(&free(*n, self.ground.data), &accepted.plant.values))
-            || parameters.iter().any(|e| least.contains(&(e.name.as_str(), e.interval[0])));
-        let could_be_none = no_swing || parameters.iter().all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
-        let unshaken =
-            numbers.contains(&P::Swing) && shaken(self.ground.data, accepted.plant.values.get(P::Swing)) < LEAST_SHAKEN;
+        let could_be_none = parameters.iter().all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0);
+        let doubt = match could_be_none {
+            true => Some("likely, but its size could be none"),
+            false if numbers.contains(&P::Swing) => self.doubt_of_a_swing(accepted, numbers, &parameters),
+            false => None,
+        };
         Finding {
             name: effect.name.to_owned(),
-            status: match (
-                ambiguous || could_be_none || unshaken || held.gain_interval(self.seed)[0] <= 0.0,
-                effect.own,
-            ) {
+            // What is in doubt is no cause yet.
+            status: match (ambiguous || doubt.is_some() || held.gain_interval(self.seed)[0] <= 0.0, effect.own) {
                 (true, _) => Status::Ambiguous,
                 (false, true) => Status::Rejected,
                 (false, false) => Status::Named,
@@ -306,13 +303,22 @@ impl View<'_> {
             conflicts: self.rivals(part.effect),
             next_experiment: effect.next_experiment.to_owned(),
             share: 0.0,
-            note: match (could_be_none, unshaken) {
-                (true, _) => "likely, but its size could be none",
-                (_, true) => "likely, but no input of these runs changes as quickly as it swings",
-                _ => "",
-            }
-            .to_owned(),
+            note: doubt.unwrap_or_default().to_owned(),
         }
+    }
+
+    /// Why a resonance was not seen to be one: what swings for ever or at once, or what no input shakes, may be another thing's form.
+    fn doubt_of_a_swing(&self, accepted: &Set, numbers: &[P], told: &[Estimate]) -> Option<&'static str> {
+        let values = &accepted.plant.values;
+        let least = |p: P| free(p, self.ground.data).bounds.0;
+        let reaches_its_least = |p: P| told.iter().any(|e| e.name == reported(p).0 && e.interval[0] <= least(p));
+        if numbers.iter().any(|n| no_swing(&free(*n, self.ground.data), values))
+            || [P::Swing, P::SwingDamping].into_iter().any(reaches_its_least)
+        {
+            return Some("likely, but these runs do not show it swing and die away");
+        }
+        (shaken(self.ground.data, values.get(P::Swing)) < LEAST_SHAKEN)
+            .then_some("likely, but no input of these runs changes as quickly as it swings")
     }
 
     /// The effects beside the accepted set: rivals, what was struck, and what no probability is left for.
@@ -357,7 +363,7 @@ impl View<'_> {
     }
 }
 
-/// How much inputs change within a time: half the mean square of their change over that of their spread, one of what forgets itself within it.
+/// How much inputs change within a time: half the mean square of their change over that of their spread; 1 where nothing of one foretells the next.
 fn shaken(data: &Data, time_s: f64) -> f64 {
     let (mut changes, mut spread) = (0.0, 1e-300);
     for run in &data.runs {
@@ -445,4 +451,31 @@ fn left_over(ground: &Ground, judged: &Judgement, findings: &[Finding], held: &H
         all.push(unknown("the speed as a whole: it does not follow the input", 1.0));
     }
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if beside one of several that were seen once, what is left makes the answer `unknown`, or what never was in doubt is thrown away.
+    #[test]
+    fn what_is_left_beside_a_guess_is_the_guess_s() {
+        let of = |name: &str| EFFECTS.iter().position(|e| e.name == name).expect("it is in the library");
+        let judged = |named: usize| {
+            let mut judged = Judgement {
+                inclusion: vec![(named, 0.99)],
+                named: vec![named],
+                one_of: Vec::new(),
+                of_course: Vec::new(),
+                lives_in: vec![("time, each run its own", 0.07)],
+                withheld: false,
+            };
+            seen_once(&mut judged);
+            judged
+        };
+        let friction = judged(of("coulomb-friction"));
+        assert_eq!((friction.named, friction.lives_in), (vec![], vec![]));
+        let saturation = judged(of("high-duty-saturation"));
+        assert_eq!((saturation.named.len(), saturation.lives_in.len()), (1, 1));
+    }
 }

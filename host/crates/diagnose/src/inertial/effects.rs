@@ -78,8 +78,8 @@ const AROUND_THE_THRESHOLD: &str = "let the motor run down from full speed at in
      coast along an exponential; then sweep the input slowly through zero: friction with a peak at rest shows a loop";
 const OTHER_WAY_ROUND: &str = "mount the motor the other way round and repeat the sweep: a load changes sides, the motor's own asymmetry does not";
 
-/// Times of swinging from which a resonance is looked for, in samples, each so near the next that a fit from one of the two arrives: a swing
-/// is felt over a period that differs by a third.
+/// From where a resonance is looked for: times of swinging in samples, each so near the next that a fit from one of the two arrives (a swing is
+/// felt over a period that differs by a third), with the damping and inertia ratios of a usual coupling.
 const SWINGS: [&[f64]; 8] = [
     &[0.6, 0.1, 0.5],
     &[1.0, 0.1, 0.5],
@@ -90,9 +90,6 @@ const SWINGS: [&[f64]; 8] = [
     &[14.0, 0.1, 0.5],
     &[24.0, 0.1, 0.5],
 ];
-
-/// Least damping ratio of a coupling: steel in vacuum.
-pub const LEAST_DAMPING: f64 = 1e-3;
 
 /// The library.
 pub const EFFECTS: [Effect; 11] = [
@@ -332,8 +329,8 @@ pub fn free(number: P, data: &Data) -> Free {
         P::Corner => around_zero(0.05, (0.0, 0.3), 1e-4),
         P::StribeckSpeed => around_zero(0.05, (0.0, 0.5), 1e-4),
         P::Swing => around_zero(10.0 * shortest, (0.0, 0.03 * longest), 0.02 * shortest),
-        // Steel rings with hundredths, a belt dies within a swing; beyond, two lags are what is seen.
-        P::SwingDamping => around_zero(0.15, (LEAST_DAMPING, 0.7), 1e-3),
+        // Steel rings with hundredths (in vacuum with a thousandth), a belt dies within a swing; beyond, two lags are what is seen.
+        P::SwingDamping => around_zero(0.15, (1e-3, 0.7), 1e-3),
         // A load ten times the motor's inertia holds it still at the resonance.
         P::SwingOfMotor | P::SwingOfLoad => around_zero(2.0, (1e-2, 30.0), 1e-3),
     }

@@ -229,6 +229,12 @@ impl Model {
         if let Some((p, needed)) = over.iter().find(|(p, needed)| orders(p) && model.orders.len() < *needed) {
             return Err(wrong(format!("numbers.{} needs [[orders]], {needed} of them", key(*p))));
         }
+        let has = |p: P| model.numbers.contains_key(key(p));
+        let seen = [P::SwingOfMotor, P::SwingOfLoad];
+        if seen.map(has).iter().filter(|h| **h).count() != usize::from(has(P::Swing)) {
+            let [motor, load] = seen.map(key);
+            return Err(wrong(format!("numbers.{} goes with one of {motor} and {load}", key(P::Swing))));
+        }
         if model.numbers.contains_key(key(P::Load)) && !model.largest_load.is_some_and(|v| v.is_finite() && v > 0.0) {
             return Err(wrong(format!("numbers.{} needs largest_load, above 0", key(P::Load))));
         }
@@ -315,6 +321,10 @@ impl Model {
 
     /// The course from rest in rpm over times in s where an input, in the record's unit, is held. What goes with the angle is left out.
     pub fn step(&self, input: f64, seconds: f64) -> Vec<(f64, f64)> {
+        self.course(&self.values(), input, seconds)
+    }
+
+    fn course(&self, values: &Values, input: f64, seconds: f64) -> Vec<(f64, f64)> {
         const SAMPLES: usize = 1000;
         let period_s = seconds / SAMPLES as f64;
         let run = DriveRun {
@@ -329,15 +339,16 @@ impl Model {
             beside: Vec::new(),
         };
         // What is early in a record is early by the record's samples.
-        let values = self.values().with(P::Skew, 0.0);
+        let values = values.with(P::Skew, 0.0);
         run.time.iter().copied().zip(simulate(&run, &values, 0.0, self.unsigned).rpm).collect()
     }
 
     /// The speed in rpm to which a held input comes from rest.
     pub fn steady_rpm(&self, input: f64) -> f64 {
-        let values = self.values();
+        // A swing has no part in it, and may take longer to die.
+        let values = self.values().with(P::Swing, 0.0);
         let seconds = 40.0 * (values.lag_s() + values.get(P::SecondLag)) + 2.0 * values.get(P::DeadTime);
-        self.step(input, seconds).last().map_or(0.0, |p| p.1)
+        self.course(&values, input, seconds).last().map_or(0.0, |p| p.1)
     }
 }
 
@@ -354,5 +365,29 @@ fn admissible(number: P) -> (f64, f64) {
         P::Bend | P::BendPower | P::SwingOfMotor | P::SwingOfLoad => (0.0, 100.0),
         P::Load => (-1e3, 1e3),
         _ => (-1.0, 1.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if two numbers have one name: the second would take the first's place in a file.
+    #[test]
+    fn every_number_has_a_name_of_its_own() {
+        let names: std::collections::BTreeSet<&str> = P::ALL.into_iter().map(key).collect();
+        assert_eq!(names.len(), P::ALL.len());
+    }
+
+    /// Fails if a swing that has not died is part of the speed that a held input comes to, or is lost on the way there.
+    #[test]
+    fn a_swing_is_in_the_start_and_not_in_the_end() {
+        let text = "name = \"m\"\nplant = \"inertial\"\nlargest_input = 2.0\n[numbers]\ngain_rpm = 300.0\nlag_s = 0.1\n\
+                    swing_s = 0.01\ndamping_ratio = 0.001\ninertia_ratio_load_seen = 0.02\n";
+        let model = Model::parse("m.toml", text).expect("it is a motor");
+        assert!((model.steady_rpm(1.0) - 150.0).abs() < 0.01, "{}", model.steady_rpm(1.0));
+        let late = model.step(1.0, 1.0).into_iter().filter(|p| p.0 > 0.8).map(|p| p.1);
+        let (low, high) = late.fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(v), b.max(v)));
+        assert!(high - low > 1.0, "{low} to {high}");
     }
 }

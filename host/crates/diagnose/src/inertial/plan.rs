@@ -91,7 +91,8 @@ pub fn next_inputs(outcome: &InertialOutcome, replicated: bool) -> Vec<InputRun>
     }
     if open(Coordinate::Time) {
         let levels = [[0.0, 0.0], [0.6, 0.6], [0.0, 0.0], [-0.6, -0.6]];
-        let why = "a dead time shows a flat beginning, a second lag a rounded one";
+        let why =
+            "a dead time shows a flat beginning, a second lag a rounded one, a load on a coupling swings after it";
         plan.push(run("fast-steps", why, FINEST, SETTLED, &levels));
     }
     if outcome.unknown.iter().any(|u| u.lives_in.starts_with("angle")) {

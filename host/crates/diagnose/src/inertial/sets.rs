@@ -300,8 +300,8 @@ impl<'a> Ground<'a> {
             size.is_some_and(|f| f.bounds.0 == 0.0 && plant.values.get(f.number) < LEAST_SIZE * f.sd)
         };
         // Of a load that is seen the search hardly tells the weight: only the motor's friction shows it.
-        let no_swing = |f: &Free| f.number != P::SwingOfLoad && no_swing(f, &plant.values);
-        let none = parts.iter().any(sizeless) || free.iter().any(no_swing);
+        let swingless = |f: &Free| f.number != P::SwingOfLoad && no_swing(f, &plant.values);
+        let none = parts.iter().any(sizeless) || free.iter().any(swingless);
         let log = if none { f64::NEG_INFINITY } else { log };
         let orders = parts.iter().map(|p| self.orders_of(p)).max().unwrap_or(0);
         let chosen: f64 = self.data.ripples.iter().take(orders).map(Ripple::cost).sum();

@@ -3,8 +3,8 @@
 //! With r the load's inertia over the motor's, τ the lag on a stiff shaft (the friction is the motor's: what goes with its speed is mostly
 //! the voltage that it induces) and ω₀, ζ the swing of both against one another, the torque of the coupling is
 //! M = k·φ + c·φ', k = ω₀²/(1 + r), c = 2·ζ·ω₀/(1 + r), φ' = ω₁ − ω₂, and τ·ω₁' = (1 + r)·(drive − ω₁) − τ·r·M, ω₂' = M.
-//! That is a lag τ' and a pair of poles p², from s³ + (b + c·(1 + r))·s² + (k·(1 + r) + b·c)·s + b·k with b = (1 + r)/τ, behind which the
-//! motor has the zeros of 1 + (c/k)·s + s²/k, and the load that of 1 + (c/k)·s.
+//! Together they have the poles of s³ + (b + c·(1 + r))·s² + (k·(1 + r) + b·c)·s + b·k, b = (1 + r)/τ: a lag τ' and a pair that swings. The
+//! motor has the zeros of 1 + (c/k)·s + s²/k beside them, the load that of 1 + (c/k)·s.
 //! Reference: Schröder, Elektrische Antriebe: Regelung von Antriebssystemen, on the elastic two-mass system.
 
 use super::values::{P, Values};
@@ -37,15 +37,15 @@ impl Swing {
         let (k, c) = (time_s.powi(-2) / (1.0 + share), 2.0 * damping / time_s / (1.0 + share));
         let b = (1.0 + share) / values.lag_s();
         let (a2, a1, a0) = (b + c * (1.0 + share), k * (1.0 + share) + b * c, b * k);
-        let slow = slowest(a2, a1, a0);
-        let (twice, square) = (a2 + slow, -a0 / slow);
+        let root = real_root(a2, a1, a0);
+        let (twice, square) = (a2 + root, -a0 / root);
         let own = square.sqrt();
         // Beyond critical damping nothing swings; the bound keeps the closed form one.
         let damping = (0.5 * twice / own).clamp(0.0, 0.999);
         let motor = if of_motor > 0.0 { square / k } else { 0.0 };
         let seen = [motor - 1.0, square * c / k - 2.0 * damping * own];
         Some(Self {
-            lag_s: -1.0 / slow,
+            lag_s: -1.0 / root,
             own,
             damping,
             seen,
@@ -96,21 +96,19 @@ impl Swing {
     }
 }
 
-/// The real root next to zero of a cubic with the poles of a stable plant, by Newton's method from where a stiff shaft has it: it is convex
-/// between the root and zero, or nearly, so that the steps do not leave.
-fn slowest(a2: f64, a1: f64, a0: f64) -> f64 {
-    let mut s = -a0 / a1;
-    for _ in 0..50 {
-        let step = (((s + a2) * s + a1) * s + a0) / ((3.0 * s + 2.0 * a2) * s + a1);
-        if !step.is_finite() {
-            break;
-        }
-        s -= step;
-        if step.abs() < 1e-14 * s.abs() {
-            break;
+/// A real root of a cubic whose roots are those of a stable plant: between −a2, where it is a0 − a1·a2 < 0 (Routh and Hurwitz), and 0, where
+/// it is a0 > 0. By halves: Newton's steps leave it where the load swings more slowly than the motor.
+fn real_root(a2: f64, a1: f64, a0: f64) -> f64 {
+    let (mut low, mut high) = (-a2, 0.0);
+    for _ in 0..100 {
+        let middle = 0.5 * (low + high);
+        if ((middle + a2) * middle + a1) * middle + a0 > 0.0 {
+            high = middle;
+        } else {
+            low = middle;
         }
     }
-    if s < 0.0 { s } else { -a0 / a1 }
+    0.5 * (low + high)
 }
 
 #[cfg(test)]
@@ -147,6 +145,27 @@ mod tests {
         let last = speeds[400];
         for (swing, way) in [&of_motor, &of_load].into_iter().zip(ways) {
             assert!((whole + swing.way(last) - way).abs() < 1e-3, "{} {way}", whole + swing.way(last));
+        }
+    }
+
+    /// Fails if the root is none: every plant of the bounds has its lag, and a finite swing.
+    #[test]
+    fn every_coupling_has_a_lag_of_its_own() {
+        for share in [0.01, 0.4, 3.0, 30.0] {
+            for time_s in [1e-5, 0.01, 0.1, 10.0] {
+                for damping in [1e-3, 0.1, 0.7] {
+                    let values = Values::line(300.0, 0.1).with(P::Swing, time_s).with(P::SwingDamping, damping);
+                    let mut swing = Swing::of(&values.with(P::SwingOfMotor, share)).expect("it swings");
+                    let (k, c) = (time_s.powi(-2) / (1.0 + share), 2.0 * damping / time_s / (1.0 + share));
+                    let b = (1.0 + share) / 0.1;
+                    let s = -1.0 / swing.lag_s();
+                    let terms = [s * s * s, (b + c * (1.0 + share)) * s * s, (k * (1.0 + share) + b * c) * s, b * k];
+                    let size = terms.iter().map(|t| t.abs()).fold(0.0, f64::max);
+                    assert!(terms.iter().sum::<f64>().abs() < 1e-9 * size, "{share} {time_s} {damping}: {s}");
+                    swing.advance(1e-3, 1.0);
+                    assert!(swing.rpm().is_finite() && swing.way(1.0).is_finite(), "{share} {time_s} {damping}");
+                }
+            }
         }
     }
 
