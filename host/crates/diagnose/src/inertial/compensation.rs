@@ -139,7 +139,7 @@ fn error(plant: &Values, by: &Values, ripples: &[Ripple], height: f64) -> f64 {
         beside: Vec::new(),
     };
     // Delays of the record are the logger's, or cannot be cancelled but by asking earlier.
-    let tried = plant.with(P::Skew, 0.0).with(P::DeadTime, 0.0).with(P::SecondLag, 0.0).with(P::Swing, 0.0);
+    let tried = plant.with(P::Skew, 0.0).with(P::DeadTime, 0.0).with(P::SecondLag, 0.0);
     let motion = simulate(&run, &tried, 0.0, false);
     let squares = motion.rpm.iter().zip(&run.time).map(|(v, t)| (v - wanted(*t).0).powi(2));
     (squares.sum::<f64>() / n as f64).sqrt()

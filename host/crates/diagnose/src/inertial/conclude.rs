@@ -132,7 +132,7 @@ impl Standing {
         loop {
             let views: Vec<Visited> = sets.iter().map(Set::visited).collect();
             let mut judged = judge(&views, &root.visited(), &background);
-            if starts(ground.data) < 2 {
+            if ground.data.starts() < 2 {
                 seen_once(&mut judged);
             }
             let more = uncertain_effects(scorer, &sets, root, &judged, seed);
@@ -177,25 +177,6 @@ impl Standing {
 fn alike(named: usize, rival: usize) -> bool {
     let number = |e: usize| EFFECTS[e].forms[0].numbers[0];
     !EFFECTS[named].own && twin(number(named)) == Some(number(rival))
-}
-
-/// How often the motor starts, stops or turns round.
-pub fn starts(data: &Data) -> usize {
-    let mut count = 0;
-    for run in &data.runs {
-        let largest = run.rpm.iter().fold(0.0f64, |a, v| a.max(v.abs()));
-        let mut sense = f64::NAN;
-        for v in &run.rpm {
-            let now = if v.abs() < 0.02 * largest { 0.0 } else { v.signum() };
-            // Between a rest and a motion there is room for noise.
-            if now != 0.0 && v.abs() < 0.1 * largest {
-                continue;
-            }
-            count += usize::from(!sense.is_nan() && now != sense);
-            sense = now;
-        }
-    }
-    count
 }
 
 /// What acts at rest or after a change is one of several things where the motor started once.
@@ -317,7 +298,7 @@ impl View<'_> {
         {
             return Some("likely, but these runs do not show it swing and die away");
         }
-        (shaken(self.ground.data, values.get(P::Swing)) < LEAST_SHAKEN)
+        (self.ground.data.shaken(values.get(P::Swing)) < LEAST_SHAKEN)
             .then_some("likely, but no input of these runs changes as quickly as it swings")
     }
 
@@ -361,19 +342,6 @@ impl View<'_> {
         };
         effects.into_iter().map(one).collect()
     }
-}
-
-/// How much inputs change within a time: half the mean square of their change over that of their spread; 1 where nothing of one foretells the next.
-fn shaken(data: &Data, time_s: f64) -> f64 {
-    let (mut changes, mut spread) = (0.0, 1e-300);
-    for run in &data.runs {
-        let n = run.input.len();
-        let lag = ((time_s / run.period_s).round() as usize).clamp(1, n - 1);
-        let mean = run.input.iter().sum::<f64>() / n as f64;
-        changes += run.input.windows(lag + 1).map(|w| (w[lag] - w[0]).powi(2)).sum::<f64>();
-        spread += run.input.iter().map(|u| (u - mean).powi(2)).sum::<f64>();
-    }
-    0.5 * changes / spread
 }
 
 /// Of all that could be removed, the share that beside a set still follows from sample to sample.

@@ -195,6 +195,38 @@ impl Data {
         })
     }
 
+    /// How often the motor starts, stops or turns round.
+    pub fn starts(&self) -> usize {
+        let mut count = 0;
+        for run in &self.runs {
+            let largest = run.rpm.iter().fold(0.0f64, |a, v| a.max(v.abs()));
+            let mut sense = f64::NAN;
+            for v in &run.rpm {
+                let now = if v.abs() < 0.02 * largest { 0.0 } else { v.signum() };
+                // Between a rest and a motion there is room for noise.
+                if now != 0.0 && v.abs() < 0.1 * largest {
+                    continue;
+                }
+                count += usize::from(!sense.is_nan() && now != sense);
+                sense = now;
+            }
+        }
+        count
+    }
+
+    /// How much inputs change within a time: half the mean square of their change over that of their spread; 1 where nothing of one foretells the next.
+    pub fn shaken(&self, time_s: f64) -> f64 {
+        let (mut changes, mut spread) = (0.0, 1e-300);
+        for run in &self.runs {
+            let n = run.input.len();
+            let lag = ((time_s / run.period_s).round() as usize).clamp(1, n - 1);
+            let mean = run.input.iter().sum::<f64>() / n as f64;
+            changes += run.input.windows(lag + 1).map(|w| (w[lag] - w[0]).powi(2)).sum::<f64>();
+            spread += run.input.iter().map(|u| (u - mean).powi(2)).sum::<f64>();
+        }
+        0.5 * changes / spread
+    }
+
     /// How many speeds are compared.
     pub fn rows(&self) -> usize {
         self.runs.iter().map(|r| r.rpm.len()).sum()

@@ -176,7 +176,7 @@ pub const EFFECTS: [Effect; 11] = [
     Effect {
         name: "coupling-resonance",
         says: "motor and load swing against one another on an elastic coupling (belt, shaft, gear)",
-        equation: "τ·ω₁' = (1 + r)·(K·u − ω₁) − τ·r·M, ω₂' = M = ω₀²/(1 + r)·(φ + 2·ζ/ω₀·φ'), φ' = ω₁ − ω₂",
+        equation: "τ·ω₁' = (1 + r)·(K·u − ω₁) − τ·r·M, ω₂' = M = ω₀²/(1 + r)·(φ + 2·ζ/ω₀·φ'), φ' = ω₁ − ω₂, ω₀ = 1/swing_s",
         coordinate: Coordinate::Time,
         forms: &[
             Form { numbers: &[P::Swing, P::SwingDamping, P::SwingOfMotor], starts: &SWINGS, needs: &[] },

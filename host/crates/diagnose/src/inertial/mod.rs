@@ -78,7 +78,7 @@ fn not_judged_reason(name: &str, data: &Data) -> Option<String> {
         "dead-time" | "second-lag" | "coupling-resonance" if data.passes_once() => {
             Some("needs an input that comes back: over one pass a delay looks like a threshold".to_owned())
         }
-        "coupling-resonance" if conclude::starts(data) < 2 => {
+        "coupling-resonance" if data.starts() < 2 => {
             Some("needs a second start: over one, a swing looks like what friction and delays make of it".to_owned())
         }
         "heating" => match data.temperature {
