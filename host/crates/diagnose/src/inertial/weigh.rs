@@ -24,12 +24,13 @@ const LEAST_TURNS: f64 = 0.6;
 /// Rows that are put into the equations at once.
 const CHUNK: usize = 1024;
 
-/// A smooth family of additions to the speed.
+/// A smooth family of additions to the speed, or of factors on it.
 struct Term {
     lives_in: &'static str,
     columns: usize,
     own: bool,
     harmonic: bool,
+    factor: bool,
     cost: f64,
 }
 
@@ -39,7 +40,7 @@ pub struct Terms(Vec<Term>);
 impl Terms {
     /// Those that the runs can show.
     pub fn new(data: &Data) -> Self {
-        let term = |lives_in, columns, own, cost| Term { lives_in, columns, own, harmonic: false, cost };
+        let term = |lives_in, columns, own, cost| Term { lives_in, columns, own, harmonic: false, factor: false, cost };
         let mut all = vec![
             term("input", INPUT_KNOTS, false, FREE_FORM_COST),
             term("the time after a change of the input", ECHOES, false, FREE_FORM_COST),
@@ -47,6 +48,8 @@ impl Terms {
         // Where each input is passed but once, its time says nothing that the input does not.
         if !data.passes_once() {
             all.push(term("time", TIME_KNOTS, false, TERM_COST));
+            // What warms turns slower by a share: where the speed goes to and fro, nothing that is added follows that.
+            all.push(Term { factor: true, ..term("time", TIME_KNOTS, false, TERM_COST) });
             all.push(term("time, each run its own", WANDER_KNOTS, true, TERM_COST));
         }
         let turns = |r: &DriveRun| r.turns.iter().fold(0.0f64, |a, t| a.max((t - r.turns[0]).abs()));
@@ -97,7 +100,8 @@ impl Terms {
                     }
                 }
             }
-            to.iter_mut().for_each(|v| *v *= data.usual_rpm);
+            let size = if term.factor { predicted[k] } else { data.usual_rpm };
+            to.iter_mut().for_each(|v| *v *= size);
         }
     }
 }
@@ -184,7 +188,7 @@ pub fn weigh_plant(
     for round in 0..2 {
         let looks: Vec<(usize, f64, f64)> = (0..terms.0.len())
             .into_par_iter()
-            .filter(|t| !chosen.contains(t))
+            .filter(|t| chosen.iter().all(|c: &usize| terms.0[*c].lives_in != terms.0[*t].lives_in))
             .filter_map(|t| {
                 let more = [chosen.clone(), vec![t]].concat();
                 ask(&more, &near).map(|w| (t, w.log, w.left))
