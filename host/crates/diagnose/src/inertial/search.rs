@@ -147,6 +147,10 @@ impl Ground<'_> {
 
     /// A set with another form of each effect: beside what was found since, it may be the nearer one.
     fn reform(&self, set: &Set, pool: &mut Vec<Set>) {
+        let known = pool.iter_mut().find(|s| s.key() == set.key());
+        if known.is_some_and(|s| std::mem::replace(&mut s.reformed, true)) {
+            return;
+        }
         let mut tasks = Vec::new();
         for k in 0..set.parts.len() {
             let mut rest = set.parts.clone();
@@ -247,7 +251,15 @@ impl Ground<'_> {
     /// The best sets with friction in the place of a dead zone, or the other way round: over slow changes they are the same.
     fn exchange(&self, pool: &mut Vec<Set>) {
         let best = pool.iter().map(|s| s.score).fold(f64::NEG_INFINITY, f64::max);
-        let near: Vec<Set> = pool.iter().filter(|s| s.score > best - WINDOW).cloned().collect();
+        let open = |s: &&mut Set| !s.exchanged && s.score > best - WINDOW;
+        let near: Vec<Set> = pool
+            .iter_mut()
+            .filter(open)
+            .map(|s| {
+                s.exchanged = true;
+                s.clone()
+            })
+            .collect();
         let number = |e: usize| EFFECTS[e].forms[0].numbers[0];
         let other = |e: usize| self.usable.iter().copied().find(|o| twin(number(e)) == Some(number(*o)));
         for set in near {

@@ -57,6 +57,10 @@ pub struct Set {
     courses: Vec<Course>,
     /// Whether others were looked for from it.
     pub expanded: bool,
+    /// Whether its twins were put in its place.
+    pub exchanged: bool,
+    /// Whether other forms of its effects were tried.
+    pub reformed: bool,
 }
 
 impl Set {
@@ -306,7 +310,7 @@ impl<'a> Ground<'a> {
         let orders = parts.iter().map(|p| self.orders_of(p)).max().unwrap_or(0);
         let chosen: f64 = self.data.ripples.iter().take(orders).map(Ripple::cost).sum();
         let score = log + prior - chosen - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
-        Set { parts, plant, score, weighed, terms, courses, expanded: false }
+        Set { parts, plant, score, weighed, terms, courses, expanded: false, exchanged: false, reformed: false }
     }
 
     /// How many orders of the angle a form is about.
