@@ -313,6 +313,7 @@ fn measured_motors_are_told_by_their_friction() {
             "{id}: {:?}",
             d.suspected()
         );
+        assert!(matches!(d.verdict, Verdict::Named | Verdict::Ambiguous), "{id}: {:?}", d.verdict);
     }
     for (name, limit) in [("micromouse-more/cal-left", 18.3), ("micromouse-more/cal-right", 21.7)] {
         let (id, d, error) = measured(name, false).remove(0);

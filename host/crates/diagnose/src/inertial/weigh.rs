@@ -49,7 +49,8 @@ impl Terms {
         if !data.passes_once() {
             all.push(term("time", TIME_KNOTS, false, TERM_COST));
             // What warms turns slower by a share: where the speed goes to and fro, nothing that is added follows that.
-            all.push(Term { factor: true, ..term("time", TIME_KNOTS, false, TERM_COST) });
+            // As heating does, whose form over the time it would be.
+            all.push(Term { factor: true, ..term("time", TIME_KNOTS, false, FREE_FORM_COST) });
             all.push(term("time, each run its own", WANDER_KNOTS, true, TERM_COST));
         }
         let turns = |r: &DriveRun| r.turns.iter().fold(0.0f64, |a, t| a.max((t - r.turns[0]).abs()));
