@@ -27,6 +27,8 @@ pub struct Ground<'a> {
     pub independent: f64,
     /// Terms without physics.
     pub terms: Vec<Term>,
+    /// Largest squared error that counts as one of the forms, in rpm²·s: no form is further off than all that is left.
+    pub form_error: f64,
 }
 
 impl<'a> Ground<'a> {
@@ -34,7 +36,16 @@ impl<'a> Ground<'a> {
     pub fn new(problem: &'a Problem, home: Parameters, effects: &'a [Effect], usable: Vec<usize>) -> Self {
         let rows: usize = problem.runs.iter().map(|r| r.windows.len()).sum();
         let independent = independent(rows as f64, problem.runs.len());
-        Self { level: Level::new(problem), terms: terms(problem), problem, home, effects, usable, independent }
+        Self {
+            level: Level::new(problem),
+            terms: terms(problem),
+            problem,
+            home,
+            effects,
+            usable,
+            independent,
+            form_error: f64::INFINITY,
+        }
     }
 
     /// What is free in a set: the baseline's own parameters and the effects'.

@@ -7,6 +7,7 @@ use super::baseline::{as_listed, at_speed, valleys};
 use super::candidate::free_of;
 use super::discrepancy::FREE_FORM_COST;
 use super::ground::Ground;
+use super::level::FORM_ERROR;
 use super::library::{Coordinate, Form};
 use super::problem::Model;
 use super::refit::{Noise, coefficients, put_coefficients};
@@ -24,6 +25,8 @@ pub(super) const WINDOW: f64 = 9.0;
 /// Sets from which others are looked for in vain before it is enough: what is near the best and leads nowhere is the best and something that
 /// does nothing.
 const IN_VAIN: usize = 2;
+/// Times that the search goes on from another set that leads once rivals were put in the places of the best one's effects.
+const SWAPS: usize = 2;
 /// Share of the root's noise below which its baseline is doubted: half the noise is half the evidence that it was chosen by.
 const MOST_NOISE_LEFT: f64 = 0.5;
 /// Other rotors that are refitted for a few steps.
@@ -31,6 +34,8 @@ const LOOKED_AT: usize = 3;
 /// Most sets that are refitted to the end, and for how many steps.
 const FINISHED: usize = 8;
 const LAST_STEPS: usize = 24;
+/// Share of the error of form that was counted below which all sets are weighed anew: a tenth less is as many nats as an effect may be behind.
+const LEAST_SHRUNK: f64 = 0.9;
 /// Steps of a first look: beside an effect of a given size, from another rotor, without an effect.
 const FEW_STEPS: usize = 4;
 /// Nats behind what the best candidate brought from which one waits for a later set: what a linear look promises is often not kept.
@@ -39,7 +44,7 @@ const FAR_BEHIND: f64 = 20.0;
 impl Ground<'_> {
     /// Searches from the refitted baseline, and from a motor beside a wrong `clock` where one was read off the records; every set that was
     /// visited, best first.
-    pub fn search(&self, baseline: Model, clock: Option<&Model>, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
+    pub fn search(&mut self, baseline: Model, clock: Option<&Model>, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
         let mut pool = vec![self.root(baseline)];
         self.settle(&mut pool);
         self.missing_friction(&mut pool);
@@ -53,9 +58,28 @@ impl Ground<'_> {
         let other = self.of_the_file(&mut pool);
         self.expand(&other, &self.usable, TRIED, true, &mut pool);
         self.each_alone(&other, &mut pool);
+        for turn in 0..=SWAPS {
+            self.grow(&mut pool, turn, progress);
+            let before = best(&pool).key();
+            self.swap(&mut pool);
+            if best(&pool).key() == before {
+                break;
+            }
+        }
+        self.finish(&mut pool);
+        self.bound_form(&mut pool);
+        pool.sort_by(|a, b| b.score.total_cmp(&a.score));
+        pool
+    }
+
+    /// Sets with more effects, from the best on, until what is near the best leads nowhere.
+    fn grow(&mut self, pool: &mut Vec<Set>, turn: usize, progress: &dyn Fn(&str, f64)) {
         let mut in_vain = 0;
         for round in 0..MOST_EXPANDED {
-            progress("weighing sets of effects", 0.1 + 0.7 * round as f64 / MOST_EXPANDED as f64);
+            progress(
+                "weighing sets of effects",
+                0.1 + 0.7 * (turn as f64 + round as f64 / MOST_EXPANDED as f64) / (SWAPS + 1) as f64,
+            );
             // Terms without physics give way to what explains them, so that they do not close the way to it.
             let reach = |s: &Set| s.score - FREE_FORM_COST * s.terms.len() as f64;
             let farthest = pool.iter().map(reach).fold(f64::NEG_INFINITY, f64::max);
@@ -65,22 +89,36 @@ impl Ground<'_> {
             let Some(at) = next else { break };
             pool[at].expanded = true;
             let from = pool[at].clone();
-            let before = best(&pool).score;
-            self.expand(&from, &self.usable, TRIED, false, &mut pool);
-            in_vain = if best(&pool).score > before { 0 } else { in_vain + 1 };
-            if round == 0 {
-                self.reseat(&mut pool);
-                self.reseat_beside(&mut pool);
+            let before = best(pool).score;
+            self.expand(&from, &self.usable, TRIED, false, pool);
+            in_vain = if best(pool).score > before { 0 } else { in_vain + 1 };
+            if turn == 0 && round == 0 {
+                self.reseat(pool);
+                self.reseat_beside(pool);
             }
-            self.remove(&mut pool);
+            self.remove(pool);
+            if self.bound_form(pool) {
+                in_vain = 0;
+            }
             if in_vain == IN_VAIN {
                 break;
             }
         }
-        self.swap(&mut pool);
-        self.finish(&mut pool);
-        pool.sort_by(|a, b| b.score.total_cmp(&a.score));
-        pool
+    }
+
+    /// Weighs all sets anew where the best leaves less than was counted as error of the forms; whether it did.
+    fn bound_form(&mut self, pool: &mut Vec<Set>) -> bool {
+        let left = best(pool).weighed.left;
+        if left > LEAST_SHRUNK * self.form_error.min(FORM_ERROR * pool[0].weighed.left) {
+            return false;
+        }
+        self.form_error = left;
+        for set in pool.split_off(1) {
+            let expanded = set.expanded;
+            let set = self.weigh_set(set.parts, set.model, Some(&pool[0]));
+            pool.push(Set { expanded, ..set });
+        }
+        true
     }
 
     /// Refits what is near the best until nothing changes, and what lacks one effect of the best from the best's motor: none may lead because
@@ -216,7 +254,14 @@ impl Ground<'_> {
         let model = self.refitted(strip(&best.model, &best.parts[0]), &[], self.noise(best), 8);
         let again = self.root(model);
         if again.score > pool[0].score + 1.0 {
-            *pool = vec![again];
+            let others = pool.split_off(1);
+            pool[0] = again;
+            for set in others {
+                let set = self.weigh_set(set.parts, set.model, Some(&pool[0]));
+                self.put(set, pool);
+            }
+            let root = pool[0].clone();
+            self.expand(&root, &self.usable, TRIED, true, pool);
         }
     }
 
@@ -306,7 +351,8 @@ impl Ground<'_> {
         if parts.is_empty() { self.root(model) } else { self.weigh_set(parts, model, Some(root)) }
     }
 
-    /// Rivals in the place of each effect of the best set.
+    /// Rivals in the place of each effect of the best set: what looks like it, and beside others also what does the most, for the first effect
+    /// that was found may have stood for another, and those that joined it for what it lacked.
     fn swap(&self, pool: &mut Vec<Set>) {
         let best = best(pool).clone();
         for k in 0..best.parts.len() {
@@ -314,22 +360,21 @@ impl Ground<'_> {
             if effect.coordinate == Coordinate::Angle {
                 self.exchange_twin(&best, k, pool);
             }
-            let present = best.key();
-            let rivals: Vec<usize> = self
-                .usable
-                .iter()
-                .copied()
-                .filter(|e| !present.contains(e) && self.effects[*e].looks_like(effect))
-                .collect();
             // A baseline that was refitted without the effect has taken up part of it, and of what does the same: rivals are looked for
             // where it leaves a gap.
             let mut parts = best.parts.clone();
             let gone = parts.remove(k);
             let gap = self.weigh_set(parts, strip(&best.model, &gone), Some(&pool[0]));
             let mut seen = Vec::new();
-            for c in self.candidates(&gap, &rivals) {
-                if !seen.contains(&c.effect) {
-                    seen.push(c.effect);
+            let mut others = 0;
+            for c in self.candidates(&gap, &self.usable) {
+                if seen.contains(&c.effect) || c.effect == gone.effect {
+                    continue;
+                }
+                seen.push(c.effect);
+                let like = self.effects[c.effect].looks_like(effect);
+                others += usize::from(!like);
+                if like || best.parts.len() > 1 && others <= TRIED {
                     self.put(self.with(&gap, &c, &pool[0]), pool);
                 }
             }
