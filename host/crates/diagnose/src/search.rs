@@ -245,7 +245,8 @@ impl Ground<'_> {
         Some(self.weigh_set(parts, model, Some(root)))
     }
 
-    /// A better baseline, where a set without its effect leads to one: the refit had stopped in another valley.
+    /// A better baseline, where a set without its effect leads to one: the refit had stopped in another valley. What was found stays, weighed
+    /// beside the new one, and what shows beside that joins it.
     fn reseat(&self, pool: &mut Vec<Set>) {
         let Some(best) = pool.iter().skip(1).max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
         if best.parts.len() != 1 {
