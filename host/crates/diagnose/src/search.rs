@@ -245,8 +245,8 @@ impl Ground<'_> {
         Some(self.weigh_set(parts, model, Some(root)))
     }
 
-    /// A better baseline, where a set without its effect leads to one: the refit had stopped in another valley. What was found stays, weighed
-    /// beside the new one, and what shows beside that joins it.
+    /// A better baseline, where a set without its effect leads to one: the refit had stopped in another valley. What was found stays, refitted
+    /// and weighed beside the new one, and what shows beside that joins it.
     fn reseat(&self, pool: &mut Vec<Set>) {
         let Some(best) = pool.iter().skip(1).max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
         if best.parts.len() != 1 {
@@ -258,8 +258,8 @@ impl Ground<'_> {
             let others = pool.split_off(1);
             pool[0] = again;
             for set in others {
-                let set = self.weigh_set(set.parts, set.model, Some(&pool[0]));
-                self.put(set, pool);
+                let model = self.refitted(set.model.clone(), &set.parts, self.noise(&set), 8);
+                self.put(self.weigh_set(set.parts, model, Some(&pool[0])), pool);
             }
             let root = pool[0].clone();
             self.expand(&root, &self.usable, TRIED, true, pool);
