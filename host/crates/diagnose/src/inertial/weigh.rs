@@ -48,8 +48,8 @@ impl Terms {
         // Where each input is passed but once, its time says nothing that the input does not.
         if !data.passes_once() {
             all.push(term("time", TIME_KNOTS, false, TERM_COST));
-            // What warms turns slower by a share: where the speed goes to and fro, nothing that is added follows that.
-            // As heating does, whose form over the time it would be.
+            // What warms turns slower by a share: where the speed goes to and fro, nothing that is added follows that. It costs what an unknown
+            // form of an effect costs, for it is one of heating.
             all.push(Term { factor: true, ..term("time", TIME_KNOTS, false, FREE_FORM_COST) });
             all.push(term("time, each run its own", WANDER_KNOTS, true, TERM_COST));
         }
