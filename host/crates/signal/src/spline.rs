@@ -34,64 +34,91 @@ impl Spline {
 
     /// The spline at times `at` (any order, fastest ascending; beyond the ends the outer pieces go on).
     pub fn values(&self, at: impl IntoIterator<Item = f64>) -> Vec<f64> {
-        let last = self.x.len() - 2;
         let mut i = 0;
         let mut piece = self.piece(i);
         at.into_iter()
             .map(|t| {
-                let before = i;
-                if t < self.x[i] {
-                    i = self.x.partition_point(|x| *x <= t).saturating_sub(1).min(last);
-                }
-                while i < last && t >= self.x[i + 1] {
-                    i += 1;
-                }
                 // Divisions are what a value costs: of the many times in a piece the first alone makes them.
-                if i != before {
+                if !piece.holds.contains(&t) {
+                    i = self.index(t, i);
                     piece = self.piece(i);
                 }
-                let u = t - self.x[i];
-                self.y[i] + u * (self.slope[i] + u * (piece[0] + u * piece[1]))
+                piece.at(t)
             })
             .collect()
     }
 
-    /// Coefficients of the square and the cube between points `i` and `i + 1`.
-    fn piece(&self, i: usize) -> [f64; 2] {
+    /// The piece that holds `t`, looked for from piece `i` on.
+    fn index(&self, t: f64, mut i: usize) -> usize {
+        let last = self.x.len() - 2;
+        if t < self.x[i] {
+            i = self.x.partition_point(|x| *x <= t).saturating_sub(1).min(last);
+        }
+        while i < last && t >= self.x[i + 1] {
+            i += 1;
+        }
+        i
+    }
+
+    /// The cubic between points `i` and `i + 1`.
+    fn piece(&self, i: usize) -> Piece {
+        let last = self.x.len() - 2;
         let h = self.x[i + 1] - self.x[i];
         let d = (self.y[i + 1] - self.y[i]) / h;
-        let square = (3.0 * d - 2.0 * self.slope[i] - self.slope[i + 1]) / h;
-        [square, (self.slope[i] + self.slope[i + 1] - 2.0 * d) / (h * h)]
+        Piece {
+            holds: if i == 0 { f64::NEG_INFINITY } else { self.x[i] }..if i == last {
+                f64::INFINITY
+            } else {
+                self.x[i + 1]
+            },
+            from: self.x[i],
+            value: self.y[i],
+            slope: self.slope[i],
+            square: (3.0 * d - 2.0 * self.slope[i] - self.slope[i + 1]) / h,
+            cube: (self.slope[i] + self.slope[i + 1] - 2.0 * d) / (h * h),
+        }
+    }
+}
+
+/// One cubic of the spline: the times it holds for, and its coefficients about its first point.
+struct Piece {
+    holds: std::ops::Range<f64>,
+    from: f64,
+    value: f64,
+    slope: f64,
+    square: f64,
+    cube: f64,
+}
+
+impl Piece {
+    fn at(&self, t: f64) -> f64 {
+        let u = t - self.from;
+        self.value + u * (self.slope + u * (self.square + u * self.cube))
     }
 }
 
 /// Slopes at `n >= 4` points with spacings `h` and divided differences `d`, by Gaussian elimination of the tridiagonal
-/// system.
+/// system (Thomas): every row is divided by its diagonal on the way down.
 fn slopes(h: &[f64], d: &[f64]) -> Vec<f64> {
     let n = h.len() + 1;
     let end = |h0: f64, h1: f64, d0: f64, d1: f64| ((3.0 * h0 + 2.0 * h1) * h1 * d0 + h0 * h0 * d1) / (h0 + h1);
-    let mut diagonal = vec![0.0; n];
-    let mut upper = vec![0.0; n - 1];
-    let mut right = vec![0.0; n];
-    (diagonal[0], upper[0], right[0]) = (h[1], h[0] + h[1], end(h[0], h[1], d[0], d[1]));
+    let mut upper = Vec::with_capacity(n);
+    let mut slope = Vec::with_capacity(n);
+    upper.push((h[0] + h[1]) / h[1]);
+    slope.push(end(h[0], h[1], d[0], d[1]) / h[1]);
     for i in 1..n {
-        let (lower, full, off, value) = if i == n - 1 {
+        let (lower, diagonal, off, right) = if i == n - 1 {
             let (a, b) = (h[n - 2], h[n - 3]);
             (a + b, b, 0.0, end(a, b, d[n - 2], d[n - 3]))
         } else {
             (h[i], 2.0 * (h[i - 1] + h[i]), h[i - 1], 3.0 * (h[i] * d[i - 1] + h[i - 1] * d[i]))
         };
-        let factor = lower / diagonal[i - 1];
-        diagonal[i] = full - factor * upper[i - 1];
-        right[i] = value - factor * right[i - 1];
-        if i < n - 1 {
-            upper[i] = off;
-        }
+        let scale = 1.0 / (diagonal - lower * upper[i - 1]);
+        upper.push(off * scale);
+        slope.push((right - lower * slope[i - 1]) * scale);
     }
-    let mut slope = right;
-    slope[n - 1] /= diagonal[n - 1];
     for i in (0..n - 1).rev() {
-        slope[i] = (slope[i] - upper[i] * slope[i + 1]) / diagonal[i];
+        slope[i] -= upper[i] * slope[i + 1];
     }
     slope
 }

@@ -108,9 +108,9 @@ pub fn local_fit(start_us: f64, period_us: f64, levels: &[bool], edges_per_rev: 
     let cubic = LocalCubic::new(WINDOW, period_s);
     position_rad.reserve(level_off);
     raw_rpm.reserve(level_off);
-    cubic.along(&spline_rad, |position, speed| {
-        position_rad.push(position);
-        raw_rpm.push(speed * RAD_S_TO_RPM);
+    cubic.along(&spline_rad, |positions, speeds| {
+        position_rad.extend_from_slice(positions);
+        raw_rpm.extend(speeds.iter().map(|speed| speed * RAD_S_TO_RPM));
     });
     let time_us = (0..raw_rpm.len()).map(|i| start_us + i as f64 * period_us).collect();
     Ok(LocalFit { time_us, spline_rad, position_rad, raw_rpm })
@@ -138,9 +138,9 @@ impl LocalCubic {
         }
     }
 
-    /// Value and derivative at the middle of every full window, in order. The weights of the value are symmetric, those of
-    /// the derivative antisymmetric.
-    fn along(&self, samples: &[f64], mut found: impl FnMut(f64, f64)) {
+    /// Values and derivatives at the middle of every full window, in order, some at a time. The weights of the value are
+    /// symmetric, those of the derivative antisymmetric.
+    fn along(&self, samples: &[f64], mut found: impl FnMut(&[f64], &[f64])) {
         let (window, half) = (self.value.len(), self.value.len() / 2);
         let windows = (samples.len() + 1).saturating_sub(window);
         let whole = windows - windows % LANES;
@@ -157,11 +157,11 @@ impl LocalCubic {
                     derivative[lane] += self.derivative[k] * (left[lane] - right[lane]);
                 }
             }
-            value.iter().zip(&derivative).for_each(|(v, d)| found(*v, *d));
+            found(&value, &derivative);
         }
         for start in whole..windows {
             let (value, derivative) = self.at_middle(&samples[start..start + window]);
-            found(value, derivative);
+            found(&[value], &[derivative]);
         }
     }
 
