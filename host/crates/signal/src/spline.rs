@@ -65,12 +65,10 @@ impl Spline {
         let last = self.x.len() - 2;
         let h = self.x[i + 1] - self.x[i];
         let d = (self.y[i + 1] - self.y[i]) / h;
+        let begin = if i == 0 { f64::NEG_INFINITY } else { self.x[i] };
+        let end = if i == last { f64::INFINITY } else { self.x[i + 1] };
         Piece {
-            holds: if i == 0 { f64::NEG_INFINITY } else { self.x[i] }..if i == last {
-                f64::INFINITY
-            } else {
-                self.x[i + 1]
-            },
+            holds: begin..end,
             from: self.x[i],
             value: self.y[i],
             slope: self.slope[i],
@@ -135,6 +133,24 @@ mod tests {
         let at = [5.0, -1.0, 0.3, 1.7, 2.55, 4.0];
         for (v, t) in spline.values(at).iter().zip(at) {
             assert!((v - f(t)).abs() < 1e-12, "{t}");
+        }
+    }
+
+    /// Fails if a time is taken to another piece than its own: one that lies before the last one, at a point, or beyond the ends.
+    #[test]
+    fn the_order_of_the_times_changes_nothing() {
+        let x = [0.0, 0.7, 1.0, 2.5, 2.6, 4.0, 5.1];
+        let y = x.map(|x: f64| (3.0 * x).sin());
+        let spline = Spline::not_a_knot(&x, &y).unwrap();
+        let at = [5.5, 0.9, 2.55, -1.0, 4.0, 2.5, 0.0, 5.1, 1.7, 0.3];
+        let alone: Vec<f64> = at.iter().flat_map(|t| spline.values([*t])).collect();
+        assert_eq!(spline.values(at), alone);
+        for (v, y) in spline.values(x.into_iter().rev()).iter().zip(y.iter().rev()) {
+            assert!((v - y).abs() < 1e-12, "{v} {y}");
+        }
+        for t in [0.7, 1.0, 2.5, 2.6, 4.0] {
+            let [before, after] = [t - 1e-9, t + 1e-9].map(|t| spline.values([t])[0]);
+            assert!((before - after).abs() < 1e-7, "{t}: {before} {after}");
         }
     }
 
