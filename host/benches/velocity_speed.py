@@ -4,16 +4,17 @@ Run from the repository root, on an otherwise idle machine: python3 host/benches
 Octave takes minutes for the record of 600 s.
 """
 
+import argparse
 import json
 import pathlib
 import subprocess
-import sys
 import tempfile
 import time
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import savgol_filter
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import butter, filtfilt, medfilt, savgol_filter
 
 TS = 0.001
 STEP = round(2 * np.pi / 400, 5)
@@ -36,6 +37,12 @@ def scipy_speed(bits):
     return savgol_filter(spline, 21, 3, deriv=1, delta=TS) * 30 / np.pi
 
 
+def scipy_steps(bits):
+    """The speed, and what each of the thesis's filters makes of it."""
+    raw = scipy_speed(bits)
+    return raw, filtfilt(*butter(2, 6 / (1 / TS / 2)), raw, padlen=6), uniform_filter1d(raw, 101), medfilt(raw, 13)
+
+
 def best(run, repeats=20):
     times = []
     for _ in range(repeats):
@@ -46,6 +53,9 @@ def best(run, repeats=20):
 
 
 def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--without-octave", action="store_true", help="leave Octave out: it takes minutes for 600 s")
+    without_octave = parser.parse_args().without_octave
     here = pathlib.Path(__file__).parent
     subprocess.run(["cargo", "build", "-q", "--release", "-p", "twum-host", "--example", "velocity_speed"], check=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -64,8 +74,9 @@ def main():
             others = [
                 ("SciPy, savgol_filter alone", filter_only),
                 ("SciPy, edges + CubicSpline + savgol_filter", whole),
+                ("SciPy, the three filters too", best(lambda: scipy_steps(bits), repeats=5)),
             ]
-            if "--without-octave" not in sys.argv[1:]:
+            if not without_octave:
                 octave, octave_rpm = map(
                     float, subprocess.check_output(["octave-cli", "-q", str(here / "thesis_loop.m"), str(file)]).split()
                 )

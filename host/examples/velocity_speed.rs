@@ -13,7 +13,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = std::env::args().nth(1).ok_or("usage: velocity_speed FILE (one 0 or 1 a line)")?;
     let levels: Vec<bool> = std::fs::read_to_string(path)?.lines().map(|line| line == "1").collect();
     let grid: Vec<f64> = (0..levels.len()).map(|i| i as f64 * PERIOD_US).collect();
-    let fit_s = best(|| Ok(thesis::local_fit(0.0, PERIOD_US, &levels, 400)?.raw_rpm))?;
+    let fit_s = best(|| {
+        let mut rpm = Vec::with_capacity(levels.len());
+        thesis::local_cubics(PERIOD_US, &levels, 400, |block| rpm.extend_from_slice(block.raw_rpm))?;
+        Ok(rpm)
+    })?;
     let thesis_s = best(|| Ok(thesis::estimate(0.0, PERIOD_US, &levels, 400)?.fit.raw_rpm))?;
     let smoother_s = best(|| {
         let directions = Directions::constant(Direction::Cw);

@@ -12,8 +12,9 @@ use twum_host::record::measurement::{Measurement, Run};
 use twum_host::report::run::SpeedFigures;
 use twum_host::report::speed::{Simulated, figure, overview};
 use twum_host::signal::course::Drive;
-use twum_host::signal::run::{Method, Motion, Options, Step, motion, thesis_steps};
+use twum_host::signal::run::{Method, Motion, Options, motion, thesis_steps};
 use twum_host::signal::score::score;
+use twum_host::signal::thesis::Step;
 use twum_host::signal::trial::{Encoder, Motion as Motions};
 use twum_host::signal::window::Order;
 
@@ -255,13 +256,13 @@ fn write_steps(out: &mut dyn Write, runs: &[&Run], options: &Options) -> Result<
     writeln!(out, "run,time_us,spline_rad,position_rad,rpm_raw,rpm_butterworth,rpm_moving_average,rpm_median")?;
     for run in runs {
         let s = thesis_steps(run, options).with_context(|| format!("run {}", run.id))?;
-        for i in 0..s.fit.time_us.len() {
+        for i in 0..s.time_us.len() {
             writeln!(
                 out,
                 "{},{:.3},{:.8},{:.8},{:.6},{:.6},{:.6},{:.6}",
                 run.id,
-                s.fit.time_us[i],
-                s.fit.spline_rad[i],
+                s.time_us[i],
+                s.spline_rad[i],
                 s.fit.position_rad[i],
                 s.fit.raw_rpm[i],
                 s.butterworth_rpm[i],

@@ -2,7 +2,7 @@
 
 use super::edges::{Directions, EdgeTrain};
 use super::smoother::smooth;
-use super::thesis::{self, LocalFit, ThesisEstimate};
+use super::thesis::{self, Step, ThesisEstimate};
 use super::window::{self, Order};
 use super::{RAD_S_TO_RPM, SignalError};
 use std::borrow::Cow;
@@ -21,19 +21,6 @@ pub enum Method {
     Thesis(Step),
     /// [`super::window`] over this many samples.
     Window(usize, Order),
-}
-
-/// A step of the thesis's method that gives a speed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Step {
-    /// The derivative of the cubic over 21 samples.
-    LocalCubic,
-    /// After the Butterworth filter.
-    Butterworth,
-    /// After the moving average.
-    MovingAverage,
-    /// After the median.
-    Median,
 }
 
 /// What the estimate takes from outside the record.
@@ -217,23 +204,14 @@ fn smoothed(run: &Run, options: &Options) -> Result<Motion, SignalError> {
 }
 
 fn of_thesis(run: &Run, options: &Options, step: Step) -> Result<Motion, SignalError> {
+    let (start_us, period_us, levels) = thesis_levels(run, options)?;
+    let fit = thesis::local_fit(period_us, &levels, options.edges_per_rev)?;
     let sign = run.direction.unwrap_or(Direction::Cw).sign();
-    let filtered = |of: fn(ThesisEstimate) -> (LocalFit, Vec<f64>)| thesis_steps(run, options).map(of);
-    let (fit, rpm) = match step {
-        Step::LocalCubic => {
-            let (start_us, period_us, levels) = thesis_levels(run, options)?;
-            let mut fit = thesis::local_fit(start_us, period_us, &levels, options.edges_per_rev)?;
-            let raw = std::mem::take(&mut fit.raw_rpm);
-            (fit, raw)
-        }
-        Step::Butterworth => filtered(|steps| (steps.fit, steps.butterworth_rpm))?,
-        Step::MovingAverage => filtered(|steps| (steps.fit, steps.moving_average_rpm))?,
-        Step::Median => filtered(|steps| (steps.fit, steps.median_rpm))?,
-    };
+    let signed = |values: Vec<f64>| values.into_iter().map(|v| sign * v).collect();
     Ok(Motion {
-        time_us: fit.time_us,
-        position_rad: fit.position_rad.iter().map(|p| sign * p).collect(),
-        speed_rpm: rpm.iter().map(|v| sign * v).collect(),
+        time_us: thesis::times_us(start_us, period_us, &fit),
+        speed_rpm: signed(thesis::filtered(&fit.raw_rpm, period_us, step)?),
+        position_rad: signed(fit.position_rad),
         speed_sd_rpm: None,
         edges: edges(run, options.edges_per_rev, options.edge_uncertainty_us)?.edges.len(),
         encoder: None,
@@ -254,6 +232,7 @@ fn windowed(run: &Run, options: &Options, samples: usize, order: Order) -> Resul
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::thesis::Step;
     use crate::trial::{self, Trial};
     use twum_record::measurement::{ControlRow, LevelEdge, RunKind};
 

@@ -158,7 +158,7 @@ impl Run {
         let scored: Vec<usize> =
             (first..thesis.fit.raw_rpm.len()).filter(|i| windows.iter().all(|w| w[*i].is_finite())).collect();
         let signed = |rpm: &[f64]| -> Vec<f64> {
-            rpm.iter().zip(&thesis.fit.time_us).map(|(v, t)| v * trial.directions().at(*t).sign()).collect()
+            rpm.iter().zip(&thesis.time_us).map(|(v, t)| v * trial.directions().at(*t).sign()).collect()
         };
         let pitch_rad = std::f64::consts::TAU / f64::from(EDGES_PER_REV);
         let errors = |rad: &[f64]| -> Vec<f64> {
@@ -172,7 +172,7 @@ impl Run {
         Ok(Self {
             coverage: [inside(&bits), inside(&times)],
             position_errors: [
-                unseen(&thesis.fit.spline_rad),
+                unseen(&thesis.spline_rad),
                 unseen(&thesis.fit.position_rad),
                 errors(&bits.position_rad),
                 errors(&times.position_rad),

@@ -13,7 +13,7 @@ impl Spline {
     /// parabola. The slopes solve the usual tridiagonal equations (de Boor, A Practical Guide to Splines, chapter IV).
     ///
     /// Returns `None` unless there are two points or more, of strictly increasing finite x.
-    pub fn not_a_knot(x: &[f64], y: &[f64]) -> Option<Self> {
+    pub fn not_a_knot(x: Vec<f64>, y: Vec<f64>) -> Option<Self> {
         let n = x.len();
         let increasing = x.windows(2).all(|w| w[0] < w[1] && w[1].is_finite());
         if n < 2 || y.len() != n || !x[0].is_finite() || !increasing {
@@ -29,35 +29,38 @@ impl Spline {
             }
             _ => slopes(&h, &d),
         };
-        Some(Self { x: x.to_vec(), y: y.to_vec(), slope })
+        Some(Self { x, y, slope })
     }
 
     /// The spline at times `at` (any order, fastest ascending; beyond the ends the outer pieces go on).
     pub fn values(&self, at: impl IntoIterator<Item = f64>) -> Vec<f64> {
-        let mut i = 0;
-        let mut piece = self.piece(i);
-        at.into_iter()
-            .map(|t| {
-                // Divisions are what a value costs: of the many times in a piece the first alone makes them.
-                if !piece.holds.contains(&t) {
-                    i = self.index(t, i);
-                    piece = self.piece(i);
-                }
-                piece.at(t)
-            })
-            .collect()
+        let mut values = Vec::new();
+        self.extend(&mut values, at);
+        values
     }
 
-    /// The piece that holds `t`, looked for from piece `i` on.
-    fn index(&self, t: f64, mut i: usize) -> usize {
+    /// Adds the spline's [`values`](Self::values) to the end of `to`.
+    pub fn extend(&self, to: &mut Vec<f64>, at: impl IntoIterator<Item = f64>) {
+        let mut i = 0;
+        let mut piece = self.piece(i);
+        to.extend(at.into_iter().map(|t| {
+            // Divisions are what a value costs: of the many times in a piece the first alone makes them.
+            if !piece.holds.contains(&t) {
+                i = self.index(t, i);
+                piece = self.piece(i);
+            }
+            piece.at(t)
+        }));
+    }
+
+    /// The piece that holds `t`, which piece `i` does not: the next one, most often.
+    fn index(&self, t: f64, i: usize) -> usize {
         let last = self.x.len() - 2;
-        if t < self.x[i] {
-            i = self.x.partition_point(|x| *x <= t).saturating_sub(1).min(last);
+        let next = (i + 1).min(last);
+        if t >= self.x[next] && (next == last || t < self.x[next + 1]) {
+            return next;
         }
-        while i < last && t >= self.x[i + 1] {
-            i += 1;
-        }
-        i
+        self.x.partition_point(|x| *x <= t).saturating_sub(1).min(last)
     }
 
     /// The cubic between points `i` and `i + 1`.
@@ -129,7 +132,7 @@ mod tests {
     fn a_cubic_is_reproduced_and_continued() {
         let f = |x: f64| 1.0 - 2.0 * x + 0.5 * x * x - 0.1 * x * x * x;
         let x = [0.0, 0.7, 1.0, 2.5, 2.6, 4.0];
-        let spline = Spline::not_a_knot(&x, &x.map(f)).unwrap();
+        let spline = Spline::not_a_knot(x.to_vec(), x.map(f).to_vec()).unwrap();
         let at = [5.0, -1.0, 0.3, 1.7, 2.55, 4.0];
         for (v, t) in spline.values(at).iter().zip(at) {
             assert!((v - f(t)).abs() < 1e-12, "{t}");
@@ -141,7 +144,7 @@ mod tests {
     fn the_order_of_the_times_changes_nothing() {
         let x = [0.0, 0.7, 1.0, 2.5, 2.6, 4.0, 5.1];
         let y = x.map(|x: f64| (3.0 * x).sin());
-        let spline = Spline::not_a_knot(&x, &y).unwrap();
+        let spline = Spline::not_a_knot(x.to_vec(), y.to_vec()).unwrap();
         let at = [5.5, 0.9, 2.55, -1.0, 4.0, 2.5, 0.0, 5.1, 1.7, 0.3];
         let alone: Vec<f64> = at.iter().flat_map(|t| spline.values([*t])).collect();
         assert_eq!(spline.values(at), alone);
@@ -156,11 +159,11 @@ mod tests {
 
     #[test]
     fn few_points_give_the_polynomial_through_them() {
-        let parabola = Spline::not_a_knot(&[0.0, 1.0, 3.0], &[0.0, 1.0, 9.0]).unwrap();
+        let parabola = Spline::not_a_knot(vec![0.0, 1.0, 3.0], vec![0.0, 1.0, 9.0]).unwrap();
         assert!((parabola.values([2.0])[0] - 4.0).abs() < 1e-12);
-        assert_eq!(Spline::not_a_knot(&[0.0, 2.0], &[0.0, 1.0]).unwrap().values([1.0]), [0.5]);
-        assert!(Spline::not_a_knot(&[0.0], &[0.0]).is_none());
-        assert!(Spline::not_a_knot(&[0.0, 0.0], &[0.0, 1.0]).is_none());
-        assert!(Spline::not_a_knot(&[0.0, f64::NAN], &[0.0, 1.0]).is_none());
+        assert_eq!(Spline::not_a_knot(vec![0.0, 2.0], vec![0.0, 1.0]).unwrap().values([1.0]), [0.5]);
+        assert!(Spline::not_a_knot(vec![0.0], vec![0.0]).is_none());
+        assert!(Spline::not_a_knot(vec![0.0, 0.0], vec![0.0, 1.0]).is_none());
+        assert!(Spline::not_a_knot(vec![0.0, f64::NAN], vec![0.0, 1.0]).is_none());
     }
 }

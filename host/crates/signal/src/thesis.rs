@@ -21,14 +21,25 @@ pub const AVERAGE_WINDOW: usize = 101;
 pub const MEDIAN_WINDOW: usize = 13;
 
 const HALF: usize = (WINDOW - 1) / 2;
+/// Samples of the spline worked on at once: 32 KiB, what the innermost cache of any computer of today holds.
+const BLOCK: usize = 4096;
 
-/// The thesis's method up to the local cubic: position and speed before any filter.
+/// A step of the thesis's method that gives a speed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// The derivative of the cubic over 21 samples.
+    LocalCubic,
+    /// After the Butterworth filter.
+    Butterworth,
+    /// After the moving average.
+    MovingAverage,
+    /// After the median.
+    Median,
+}
+
+/// The thesis's method up to the local cubic: position and speed of each sample before any filter.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LocalFit {
-    /// Time of each sample, in µs.
-    pub time_us: Vec<f64>,
-    /// The spline through the event midpoints, in rad; [`WINDOW`] / 2 samples longer than the rest.
-    pub spline_rad: Vec<f64>,
     /// The local cubic's position, in rad.
     pub position_rad: Vec<f64>,
     /// The local cubic's derivative, in rpm.
@@ -38,6 +49,10 @@ pub struct LocalFit {
 /// What each step of the thesis's method makes of one record.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ThesisEstimate {
+    /// Time of each sample, in µs.
+    pub time_us: Vec<f64>,
+    /// The spline through the event midpoints, in rad; [`WINDOW`] / 2 samples longer than the rest.
+    pub spline_rad: Vec<f64>,
     /// Before the filters.
     pub fit: LocalFit,
     /// The speed after the Butterworth filter, in rpm.
@@ -60,27 +75,93 @@ pub fn estimate(
     levels: &[bool],
     edges_per_rev: u32,
 ) -> Result<ThesisEstimate, SignalError> {
-    let fit = local_fit(start_us, period_us, levels, edges_per_rev)?;
+    let (mut spline_rad, mut fit) = (Vec::with_capacity(levels.len()), LocalFit::of(levels));
+    local_cubics(period_us, levels, edges_per_rev, |block| {
+        spline_rad.extend_from_slice(block.spline_rad);
+        fit.add(&block);
+    })?;
     if fit.raw_rpm.is_empty() {
         return Ok(ThesisEstimate::default());
     }
-    let filter = Butterworth::low_pass(CUTOFF_HZ, 1e6 / period_us)?;
-    let moving_average_rpm = moving_average(&fit.raw_rpm, AVERAGE_WINDOW);
+    let filtered = |step| filtered(&fit.raw_rpm, period_us, step);
+    let moving_average_rpm = filtered(Step::MovingAverage)?;
     Ok(ThesisEstimate {
-        butterworth_rpm: filter.forwards_and_backwards(&fit.raw_rpm)?,
+        time_us: times_us(start_us, period_us, &fit),
+        spline_rad,
+        butterworth_rpm: filtered(Step::Butterworth)?,
         mean_rpm: moving_average_rpm.iter().sum::<f64>() / moving_average_rpm.len() as f64,
         moving_average_rpm,
-        median_rpm: median(&fit.raw_rpm, MEDIAN_WINDOW),
+        median_rpm: filtered(Step::Median)?,
         fit,
     })
+}
+
+/// The speed after a step, of that of the local cubic.
+///
+/// # Errors
+/// Below 7 samples, but for none, there is no Butterworth filter.
+pub fn filtered(raw_rpm: &[f64], period_us: f64, step: Step) -> Result<Vec<f64>, SignalError> {
+    if raw_rpm.is_empty() {
+        return Ok(Vec::new());
+    }
+    match step {
+        Step::LocalCubic => Ok(raw_rpm.to_vec()),
+        Step::Butterworth => Butterworth::low_pass(CUTOFF_HZ, 1e6 / period_us)?.forwards_and_backwards(raw_rpm),
+        Step::MovingAverage => Ok(moving_average(raw_rpm, AVERAGE_WINDOW)),
+        Step::Median => Ok(median(raw_rpm, MEDIAN_WINDOW)),
+    }
+}
+
+/// Times of the samples of a fit, in µs.
+pub fn times_us(start_us: f64, period_us: f64, fit: &LocalFit) -> Vec<f64> {
+    (0..fit.raw_rpm.len()).map(|i| start_us + i as f64 * period_us).collect()
 }
 
 /// Applies the thesis's method up to its filters.
 ///
 /// # Errors
+/// As [`local_cubics`].
+pub fn local_fit(period_us: f64, levels: &[bool], edges_per_rev: u32) -> Result<LocalFit, SignalError> {
+    let mut fit = LocalFit::of(levels);
+    local_cubics(period_us, levels, edges_per_rev, |block| fit.add(&block))?;
+    Ok(fit)
+}
+
+impl LocalFit {
+    /// Nothing yet, with room for what these levels give at most.
+    fn of(levels: &[bool]) -> Self {
+        Self { position_rad: Vec::with_capacity(levels.len()), raw_rpm: Vec::with_capacity(levels.len()) }
+    }
+
+    fn add(&mut self, block: &Block<'_>) {
+        self.position_rad.extend_from_slice(block.position_rad);
+        self.raw_rpm.extend_from_slice(block.raw_rpm);
+    }
+}
+
+/// What follows in a record, a few thousand samples at most.
+#[derive(Debug, Clone, Copy)]
+pub struct Block<'a> {
+    /// The next values of the spline through the event midpoints, in rad; it runs [`WINDOW`] / 2 samples ahead of the rest.
+    pub spline_rad: &'a [f64],
+    /// The next values of the local cubic's position, in rad.
+    pub position_rad: &'a [f64],
+    /// The next values of its derivative, in rpm.
+    pub raw_rpm: &'a [f64],
+}
+
+/// Applies the thesis's method up to its filters and hands it on block by block: over ten minutes at 1 kHz, memory for results that
+/// nobody keeps costs more than they do.
+///
+/// # Errors
 /// [`SignalError::TooShort`] when the last edge comes before the 10th sample: the listing fails there (no edge at all is
 /// an estimate of no samples and mean speed 0, as in the listing).
-pub fn local_fit(start_us: f64, period_us: f64, levels: &[bool], edges_per_rev: u32) -> Result<LocalFit, SignalError> {
+pub fn local_cubics(
+    period_us: f64,
+    levels: &[bool],
+    edges_per_rev: u32,
+    mut found: impl FnMut(Block<'_>),
+) -> Result<(), SignalError> {
     super::check_positive("the sampling period (µs)", period_us)?;
     super::check_positive("edges a revolution", f64::from(edges_per_rev))?;
     let period_s = period_us * 1e-6;
@@ -93,7 +174,7 @@ pub fn local_fit(start_us: f64, period_us: f64, levels: &[bool], edges_per_rev: 
         level_off = i + 1;
     }
     if level_off == 0 {
-        return Ok(LocalFit::default());
+        return Ok(());
     }
     if level_off < HALF {
         return Err(SignalError::TooShort {
@@ -102,18 +183,28 @@ pub fn local_fit(start_us: f64, period_us: f64, levels: &[bool], edges_per_rev: 
             stage: "thesis's method (up to the last edge)",
         });
     }
-    let spline = Spline::not_a_knot(&event_s, &event_rad).expect("event times increase by at least half a sample");
-    let spline_rad = spline.values((0..level_off).map(|i| i as f64 * period_s));
-    let (mut position_rad, mut raw_rpm) = first_fit(&spline_rad[..HALF], period_s);
+    let spline = Spline::not_a_knot(event_s, event_rad).expect("event times increase by at least half a sample");
     let cubic = LocalCubic::new(WINDOW, period_s);
-    position_rad.reserve(level_off);
-    raw_rpm.reserve(level_off);
-    cubic.along(&spline_rad, |positions, speeds| {
-        position_rad.extend_from_slice(positions);
-        raw_rpm.extend(speeds.iter().map(|speed| speed * RAD_S_TO_RPM));
-    });
-    let time_us = (0..raw_rpm.len()).map(|i| start_us + i as f64 * period_us).collect();
-    Ok(LocalFit { time_us, spline_rad, position_rad, raw_rpm })
+    let mut samples = Vec::with_capacity(BLOCK + WINDOW - 1);
+    let (mut positions, mut speeds) = (Vec::new(), Vec::new());
+    for start in (0..level_off).step_by(BLOCK) {
+        // The windows that end in this block begin in the one before.
+        samples.drain(..samples.len().saturating_sub(WINDOW - 1));
+        let before = samples.len();
+        let end = level_off.min(start + BLOCK);
+        spline.extend(&mut samples, (start..end).map(|i| i as f64 * period_s));
+        positions.clear();
+        speeds.clear();
+        if start == 0 {
+            (positions, speeds) = first_fit(&samples[..HALF], period_s);
+        }
+        cubic.along(&samples, |values, slopes| {
+            positions.extend_from_slice(values);
+            speeds.extend(slopes.iter().map(|slope| slope * RAD_S_TO_RPM));
+        });
+        found(Block { spline_rad: &samples[before..], position_rad: &positions, raw_rpm: &speeds });
+    }
+    Ok(())
 }
 
 /// The least-squares cubic over an odd number of equally spaced samples, as weights of value and derivative at the middle
@@ -214,7 +305,7 @@ mod tests {
         let levels: Vec<bool> = fixture.levels.chars().map(|c| c == '1').collect();
         let got = estimate(0.0, 1000.0, &levels, 400).unwrap();
         for (name, got, want) in [
-            ("spline", &got.fit.spline_rad, &fixture.spline_rad),
+            ("spline", &got.spline_rad, &fixture.spline_rad),
             ("position", &got.fit.position_rad, &fixture.position_rad),
             ("raw", &got.fit.raw_rpm, &fixture.raw_rpm),
             ("butterworth", &got.butterworth_rpm, &fixture.butterworth_rpm),

@@ -39,10 +39,11 @@ pub fn speed_rpm(
     let events_s: Vec<f64> = train.edges.iter().map(|e| time_s(e.middle_us())).collect();
     let events_rad: Vec<f64> = train.edges.iter().map(|e| e.boundary as f64 * train.pitch_rad).collect();
     let too_short = SignalError::TooShort { samples: events_s.len(), needed: 2, stage: "window over edges" };
-    let spline = Spline::not_a_knot(&events_s, &events_rad).ok_or(too_short)?;
+    let ends_s = events_s.first().copied().zip(events_s.last().copied());
+    let (spline, (from_s, to_s)) = Spline::not_a_knot(events_s, events_rad).zip(ends_s).ok_or(too_short)?;
     let period_s = period_us * 1e-6;
-    let first = ((events_s[0] / period_s).ceil().max(0.0) as usize).min(samples);
-    let end = (((events_s[events_s.len() - 1] / period_s).floor() as usize) + 1).clamp(first, samples);
+    let first = ((from_s / period_s).ceil().max(0.0) as usize).min(samples);
+    let end = (((to_s / period_s).floor() as usize) + 1).clamp(first, samples);
     let position = spline.values((first..end).map(|i| i as f64 * period_s));
     let full = LocalCubic::new(window | 1, period_s);
     let mut rpm = vec![f64::NAN; samples];
