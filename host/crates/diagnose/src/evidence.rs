@@ -13,7 +13,6 @@ use super::design::RunDesign;
 use super::level::{FORM_ERROR, Level, Taus};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
-use std::ops::AddAssign;
 
 /// How many independent residuals a data set counts as: two forms are told apart if this many would tell them apart.
 const INDEPENDENT: f64 = 200.0;
@@ -239,41 +238,70 @@ fn log_det(chol: &Cholesky<f64, Dyn>) -> f64 {
     2.0 * chol.l_dirty().diagonal().iter().map(|d| d.max(1e-300).ln()).sum::<f64>()
 }
 
-/// The gains of all runs and the common coefficients as one Gaussian.
+/// The gains of all runs and the common coefficients as one Gaussian: the gains with covariance C, what the runs say of them the diagonal D
+/// and, with the common columns, H. It is worked out from M = 1 + √D·C·√D, for a decomposition of C itself costs as much again.
 struct Joint {
     /// Log determinant of prior times precision.
     log_det: f64,
     /// What the expected values explain of the squared error, in units of the variance.
     explained: f64,
-    x: DVector<f64>,
+    /// Squared distance of the expected values from none, in units of their priors.
+    from_none: f64,
     gains: DVector<f64>,
-    chol: Cholesky<f64, Dyn>,
+    common: DVector<f64>,
+    of_gains: Cholesky<f64, Dyn>,
+    of_common: Cholesky<f64, Dyn>,
+    /// V·H and C⁻¹·V·H, V = (C⁻¹ + D)⁻¹ the covariance that the gains have with the data.
+    links: [DMatrix<f64>; 2],
 }
 
-fn join(runs: &[Reduced], gains: &Cholesky<f64, Dyn>, commons: usize) -> Option<Joint> {
+fn join(runs: &[Reduced], covariance: &DMatrix<f64>, commons: usize) -> Option<Joint> {
     let r = runs.len();
-    let l = gains.l();
-    let mut a = DMatrix::identity(r + commons, r + commons);
-    let mut b = DVector::zeros(r + commons);
-    // Gains are written as L·u with u of unit covariance.
-    let weighted = DMatrix::from_fn(r, r, |i, j| if j <= i { l[(i, j)] * runs[i].g[(0, 0)] } else { 0.0 });
-    let top = l.tr_mul(&weighted);
-    a.view_mut((0, 0), (r, r)).add_assign(&top);
-    let gain_b = DVector::from_fn(r, |i, _| runs[i].b[0]);
-    b.rows_mut(0, r).copy_from(&l.tr_mul(&gain_b));
-    if commons > 0 {
-        let link = DMatrix::from_fn(r, commons, |i, j| runs[i].g[(0, j + 1)]);
-        let link = l.tr_mul(&link);
-        a.view_mut((0, r), (r, commons)).copy_from(&link);
-        a.view_mut((r, 0), (commons, r)).copy_from(&link.transpose());
-        for run in runs {
-            a.view_mut((r, r), (commons, commons)).add_assign(&run.g.view((1, 1), (commons, commons)));
-            b.rows_mut(r, commons).add_assign(&run.b.rows(1, commons));
+    let root: Vec<f64> = runs.iter().map(|run| run.g[(0, 0)].max(0.0).sqrt()).collect();
+    let m = DMatrix::from_fn(r, r, |i, j| root[i] * covariance[(i, j)] * root[j] + f64::from(u8::from(i == j)));
+    let of_gains = m.cholesky()?;
+    let scaled = |mut x: DMatrix<f64>| {
+        for (mut row, root) in x.row_iter_mut().zip(&root) {
+            row *= *root;
         }
+        x
+    };
+    // The first column is what the runs say of their gains, the others are H.
+    let said = DMatrix::from_fn(r, 1 + commons, |i, j| if j == 0 { runs[i].b[0] } else { runs[i].g[(0, j)] });
+    // C⁻¹·V = 1 − √D·M⁻¹·√D·C (Woodbury).
+    let pulled = &said - scaled(of_gains.solve(&scaled(covariance * &said)));
+    let spread = covariance * &pulled;
+    let links = [&spread, &pulled].map(|x| x.columns(1, commons).clone_owned());
+    let h = said.columns(1, commons);
+    let mut a = DMatrix::identity(commons, commons) - h.tr_mul(&links[0]);
+    let mut b = -h.tr_mul(&spread.column(0));
+    for run in runs {
+        a += run.g.view((1, 1), (commons, commons));
+        b += run.b.rows(1, commons);
     }
-    let chol = a.cholesky()?;
-    let x = chol.solve(&b);
-    Some(Joint { log_det: log_det(&chol), explained: b.dot(&x), gains: &l * x.rows(0, r), x, chol })
+    let of_common = a.cholesky()?;
+    let common = of_common.solve(&b);
+    let gains = spread.column(0) - &links[0] * &common;
+    let from_none = gains.dot(&(pulled.column(0) - &links[1] * &common)) + common.dot(&common);
+    Some(Joint {
+        log_det: log_det(&of_gains) + log_det(&of_common),
+        explained: said.column(0).dot(&spread.column(0)) + b.dot(&common),
+        from_none,
+        gains,
+        common,
+        of_gains,
+        of_common,
+        links,
+    })
+}
+
+impl Joint {
+    /// How many numbers the data fix: one for each gain and column that the priors say nothing of beside them.
+    fn freedom(&self) -> f64 {
+        let dimension = (self.gains.len() + self.common.len()) as f64;
+        let through_common = self.of_common.solve(&self.links[0].tr_mul(&self.links[1])).trace();
+        dimension - self.of_gains.inverse().trace() - self.of_common.inverse().trace() - through_common
+    }
 }
 
 /// Integrates everything that is linear.
@@ -289,26 +317,24 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
     for round in 0..ROUNDS {
         let reduced: Vec<Reduced> = equations.runs.iter().map(|r| reduce(r, q, &powers, variance)).collect();
         if start.spreads != Spreads::Stay && (round == 1 || round + 1 == ROUNDS) {
-            let likely = |c: &Cholesky<f64, Dyn>| {
+            let likely = |c: &DMatrix<f64>| {
                 join(&reduced, c, q.common.len()).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det))
             };
             let anywhere = start.spreads == Spreads::Anywhere && round == 1;
             taus = if anywhere { level.best_of_all(taus, &likely) } else { level.best(taus, &likely) };
         }
-        let gains = level.covariance(&taus).cholesky()?;
-        let joint = join(&reduced, &gains, q.common.len())?;
-        let dimension = joint.x.len() as f64;
+        let joint = join(&reduced, &level.covariance(&taus), q.common.len())?;
         // What gains and common columns take hardly changes from round to round.
-        let taken = *common_freedom.get_or_insert_with(|| dimension - joint.chol.inverse().trace());
+        let taken = *common_freedom.get_or_insert_with(|| joint.freedom());
         let freedom = reduced.iter().map(|r| r.freedom).sum::<f64>() + taken;
         let quadratic = reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained;
-        let prior = joint.x.dot(&joint.x) + reduced.iter().map(|r| r.own_quadratic).sum::<f64>();
+        let prior = joint.from_none + reduced.iter().map(|r| r.own_quadratic).sum::<f64>();
         let left = (quadratic - prior).max(0.0) * variance;
         let log = -0.5 * independent * variance.ln()
             - 0.5 * quadratic
             - 0.5 * (joint.log_det + reduced.iter().map(|r| r.log_det).sum::<f64>())
             + level.log_prior(&taus);
-        let commons = q.common.iter().zip(joint.x.iter().skip(reduced.len())).map(|(c, x)| c.1 * x).collect();
+        let commons = q.common.iter().zip(joint.common.iter()).map(|(c, x)| c.1 * x).collect();
         found = Some(Weighed {
             log,
             left,
@@ -363,5 +389,58 @@ mod tests {
         assert!(share(&equations(0.0, 0.0)).abs() < 0.01);
         assert!(share(&equations(0.5, 0.0)).abs() < 0.01);
         assert!(share(&equations(0.5, 0.3)) > 0.5);
+    }
+
+    /// Fails if what is worked out without a decomposition of the covariance is not what the whole precision says.
+    #[test]
+    fn gains_and_common_columns_are_one_gaussian() {
+        let (r, commons) = (4, 2);
+        let mut dice = rand_chacha::ChaCha8Rng::seed_from_u64(11);
+        let mut any =
+            |rows: usize, columns: usize| DMatrix::from_fn(rows, columns, |_, _| dice.random_range(-1.0..1.0));
+        let runs: Vec<Reduced> = (0..r)
+            .map(|_| {
+                let x = any(9, 1 + commons) * 3.0;
+                let (g, b) = (x.tr_mul(&x), any(1 + commons, 1).column(0).into_owned());
+                let power = Vec::new();
+                Reduced { g, b, yy: 1.0, log_det: 0.0, freedom: 0.0, own_quadratic: 0.0, power }
+            })
+            .collect();
+        let root = any(r, r) * 0.3;
+        let covariance = &root * root.transpose();
+        let joint = join(&runs, &covariance, commons).expect("it can be solved");
+
+        let n = r + commons;
+        let mut precision = DMatrix::zeros(n, n);
+        let mut b = DVector::zeros(n);
+        for (i, run) in runs.iter().enumerate() {
+            // The run's gain and the common coefficients among all of them.
+            let at: Vec<usize> = std::iter::once(i).chain(r..n).collect();
+            for (j, to) in at.iter().enumerate() {
+                b[*to] += run.b[j];
+                for (k, from) in at.iter().enumerate() {
+                    precision[(*to, *from)] += run.g[(j, k)];
+                }
+            }
+        }
+        let mut prior = DMatrix::identity(n, n);
+        prior.view_mut((0, 0), (r, r)).copy_from(&covariance);
+        let prior = prior.try_inverse().expect("it has full rank");
+        let posterior = (&prior + &precision).try_inverse().expect("it has full rank");
+        let expected = &posterior * &b;
+        let relative = &posterior * &prior;
+        let found = [joint.log_det, joint.explained, joint.from_none, joint.freedom()];
+        let direct = [
+            -relative.determinant().ln(),
+            b.dot(&expected),
+            expected.dot(&(&prior * &expected)),
+            n as f64 - relative.trace(),
+        ];
+        for (a, b) in found.into_iter().zip(direct) {
+            assert!((a - b).abs() < 1e-6 * b.abs(), "{found:?} {direct:?}");
+        }
+        for (a, b) in joint.gains.iter().chain(joint.common.iter()).zip(expected.iter()) {
+            assert!((a - b).abs() < 1e-6, "{a} {b}");
+        }
     }
 }

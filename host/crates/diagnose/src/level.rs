@@ -2,7 +2,7 @@
 
 use super::discrepancy::TERM_COST;
 use super::problem::Problem;
-use nalgebra::{Cholesky, DMatrix, Dyn};
+use nalgebra::DMatrix;
 
 /// Spreads of the gains: by chance, duty, direction, duty and direction, order.
 pub type Taus = [f64; 5];
@@ -118,13 +118,13 @@ impl Level {
     }
 
     /// The spreads that make the gains likeliest, from `start`.
-    pub fn best(&self, start: Taus, log_likelihood: &dyn Fn(&Cholesky<f64, Dyn>) -> f64) -> Taus {
+    pub fn best(&self, start: Taus, log_likelihood: &dyn Fn(&DMatrix<f64>) -> f64) -> Taus {
         self.climb(start, log_likelihood).1
     }
 
     /// The same from several starts: a spread over duty, direction or order, and the one by chance, each look like the other until both
     /// are moved. What was taken for chance is tried as each of the others.
-    pub fn best_of_all(&self, start: Taus, log_likelihood: &dyn Fn(&Cholesky<f64, Dyn>) -> f64) -> Taus {
+    pub fn best_of_all(&self, start: Taus, log_likelihood: &dyn Fn(&DMatrix<f64>) -> f64) -> Taus {
         let first = self.climb(start, log_likelihood);
         let usual = 3.0 * self.medians[0];
         let mut sizes = vec![usual];
@@ -141,10 +141,8 @@ impl Level {
     }
 
     /// By steps along one spread at a time that become finer.
-    fn climb(&self, start: Taus, log_likelihood: &dyn Fn(&Cholesky<f64, Dyn>) -> f64) -> (f64, Taus) {
-        let value = |t: &Taus| {
-            self.covariance(t).cholesky().map_or(f64::NEG_INFINITY, |c| log_likelihood(&c) + self.log_prior(t))
-        };
+    fn climb(&self, start: Taus, log_likelihood: &dyn Fn(&DMatrix<f64>) -> f64) -> (f64, Taus) {
+        let value = |t: &Taus| log_likelihood(&self.covariance(t)) + self.log_prior(t);
         let mut best = (value(&start), start);
         for factor in [2.5_f64, 1.6, 1.25] {
             for k in 0..5 {
@@ -203,7 +201,8 @@ mod tests {
     /// The spreads that gains make likeliest which are known to a thousandth.
     fn spreads(level: &Level, gains: &[f64]) -> Taus {
         let gains = DVector::from_column_slice(gains);
-        let likely = |c: &Cholesky<f64, Dyn>| {
+        let likely = |c: &DMatrix<f64>| {
+            let c = c.clone().cholesky().expect("it is a covariance");
             let log_det: f64 = c.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
             -0.5 * gains.dot(&c.solve(&gains)) - log_det
         };
