@@ -58,11 +58,16 @@ pub fn diagnose_runs(
     };
     let (mut compared, baseline) = compare(&moved);
     let mut sets = searched(&compared, baseline, &moved);
-    if moved.is_none() && !sets[0].parts.is_empty() {
-        // Behind another effect's error they may not have shown.
-        moved = shifted(problem, &sets[0].model, home, settings);
-        let known = sets[0].model.parameters.get(P::ClockError) != 0.0;
-        if moved.as_ref().is_some_and(|m| matches!(m, Shifted::Lost(_)) || !known) {
+    if !matches!(moved, Some(Shifted::Lost(_))) && !sets[0].parts.is_empty() {
+        // Behind another effect's error they may not have shown; beside a clock that is known to be wrong, no clock does as well.
+        let clock = sets[0].model.parameters.get(P::ClockError) != 0.0;
+        let again = match moved {
+            _ if clock => lost(problem, &sets[0].model, settings).map(Shifted::Lost),
+            None => shifted(problem, &sets[0].model, home, settings),
+            Some(_) => None,
+        };
+        if again.is_some() {
+            moved = again;
             let baseline;
             (compared, baseline) = compare(&moved);
             sets = searched(&compared, baseline, &moved);
@@ -91,11 +96,14 @@ enum Shifted {
 
 /// Lost words of samples beside a model, or a wrong clock that does as well.
 fn shifted(problem: &Problem, model: &Model, home: &Parameters, settings: &Settings) -> Option<Shifted> {
-    if settings.without.iter().any(|w| w == "dropped-samples") {
-        return None;
-    }
-    let gaps = gaps::find(problem, model, settings.seed)?;
+    let gaps = lost(problem, model, settings)?;
     Some(clock_instead(problem, model, home, &gaps).map_or(Shifted::Lost(gaps), Shifted::Clock))
+}
+
+/// Lost words of samples beside a model.
+fn lost(problem: &Problem, model: &Model, settings: &Settings) -> Option<Gaps> {
+    let asked = !settings.without.iter().any(|w| w == "dropped-samples");
+    asked.then(|| gaps::find(problem, model, settings.seed)).flatten()
 }
 
 /// Steps in which a clock is fitted together with the motor: it begins within a line's width of where it ends.

@@ -46,7 +46,10 @@ pub fn effective_duty(duty: f64, p: &Parameters) -> f64 {
     if gate > 0.0 {
         u /= 1.0 + (-(duty - gate) / p.get(P::GateWidth).max(1e-4)).exp();
     }
-    u /= (1.0 + p.get(P::Bend) * u.powf(p.get(P::BendPower))).max(0.1);
+    let bend = p.get(P::Bend);
+    if bend != 0.0 {
+        u /= (1.0 + bend * u.powf(p.get(P::BendPower))).max(0.1);
+    }
     u = u.min(1.0 - p.get(P::FlatTop));
     u /= 1.0 + (u * p.get(P::Saturation)).max(-0.9);
     u.clamp(0.0, 1.0)

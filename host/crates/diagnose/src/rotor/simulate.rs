@@ -233,7 +233,8 @@ impl<'a> Simulation<'a> {
         }
         // What still stands of the wave need not build up again.
         let rest_s = if start <= 0.0 { f64::INFINITY } else { rises - start };
-        let late = rises + start_delay(self.p, rest_s) * (1.0 - self.wave.height_at(rises));
+        let delay = start_delay(self.p, rest_s);
+        let late = if delay > 0.0 { rises + delay * (1.0 - self.wave.height_at(rises)) } else { rises };
         if late > rises + 1e-9 {
             self.stretch(rises, late.min(ends), false);
         }

@@ -19,6 +19,8 @@ pub(super) struct Wave {
 
 /// Time constants after which the wave is at its height, or gone, to a few thousandths.
 const SETTLED: f64 = 5.0;
+/// Time constants after which a double holds nothing of what was (e⁻³⁷ is half its last digit).
+const GONE_FOR_GOOD: f64 = 37.0;
 /// First step after a switching, and how later ones grow with the time since a rise, in time constants: the crest moves in a straight line
 /// within one.
 const STEP: f64 = 0.5;
@@ -39,7 +41,9 @@ impl Wave {
     /// Its height as a share of the full one.
     pub(super) fn height_at(&self, t: f64) -> f64 {
         let (goal, tau) = self.going();
-        let kept = if tau > 0.0 { (-(t - self.since).max(0.0) / tau).exp() } else { 0.0 };
+        let age = (t - self.since).max(0.0);
+        // What is gone needs no exponential: most of a pulse lies there.
+        let kept = if age < GONE_FOR_GOOD * tau { (-age / tau).exp() } else { 0.0 };
         goal + (self.height - goal) * kept
     }
 
