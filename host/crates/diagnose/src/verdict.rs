@@ -26,7 +26,8 @@ pub const MOST_OF_A_COURSE: f64 = 0.05;
 /// Nats that a spread of gains over duty, direction or order may cost against what is believed of it: beyond, something moves the gains
 /// that no effect of the set explains. 3.3 deviations, one in a thousand.
 const LARGEST_SPREAD: f64 = 5.5;
-/// Smallest held-out gain of what is found outside the evidence (lost samples, the controller, an ordinary motor).
+/// Smallest held-out gain of what is found outside the evidence (lost samples, the controller, an ordinary motor); lost samples and ordinary
+/// motors' effects may bring less where the gain's interval speaks for them.
 pub const LEAST_GAIN: f64 = 0.05;
 /// Largest p-value of the same.
 pub const LARGEST_P: f64 = 0.01;
