@@ -318,6 +318,27 @@ mod tests {
         }
     }
 
+    /// Fails if a window that reaches from one block into the next is lost, comes twice, or is fitted to other samples than its own.
+    #[test]
+    fn blocks_join_without_a_seam() {
+        let edge_every = |i: usize| 3 + i / 700;
+        let mut levels = vec![false];
+        while levels.len() < 2 * BLOCK + 100 {
+            let next = !levels[levels.len() - 1];
+            levels.extend(std::iter::repeat_n(next, edge_every(levels.len())));
+        }
+        let got = estimate(0.0, 1000.0, &levels, 400).unwrap();
+        assert!(got.spline_rad.len() > 2 * BLOCK);
+        assert_eq!(got.fit.raw_rpm.len(), got.spline_rad.len() - HALF);
+        assert_eq!(got.fit.position_rad.len(), got.fit.raw_rpm.len());
+        let cubic = LocalCubic::new(WINDOW, 1e-3);
+        for (i, window) in got.spline_rad.windows(WINDOW).enumerate() {
+            let (position_rad, rad_s) = cubic.at_middle(window);
+            assert!((got.fit.position_rad[HALF + i] - position_rad).abs() < 1e-9, "{i}");
+            assert!((got.fit.raw_rpm[HALF + i] - rad_s * RAD_S_TO_RPM).abs() < 1e-6, "{i}");
+        }
+    }
+
     #[test]
     fn a_motor_that_stands_still_has_speed_zero() {
         assert_eq!(estimate(0.0, 1000.0, &[true; 100], 400).unwrap(), ThesisEstimate::default());
