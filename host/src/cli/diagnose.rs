@@ -12,7 +12,7 @@ use twum_host::diagnose::inertial::Model;
 use twum_host::diagnose::{Details, Options, answer, diagnose, known_effects, saved};
 use twum_host::input::{self, printable};
 use twum_host::model::hypothesis::Hypothesis;
-use twum_host::model::motor::{Motor, parse_hypothesis};
+use twum_host::model::motor::{Motor, parse_hypotheses};
 use twum_host::model::parameters::Flavour;
 use twum_host::output;
 use twum_host::record::load::load_runs;
@@ -46,9 +46,9 @@ pub struct Args {
     /// Take an effect out of the library (may be repeated): what would be said if it were not known?
     #[arg(long, value_name = "EFFECT")]
     without: Vec<String>,
-    /// Search for an effect of your own too: a file with a formula, `[effects.mine]`
+    /// Search for effects of your own too: a file with formulas, `[effects.mine]` and by other names (may be repeated)
     #[arg(long, value_name = "MINE.toml")]
-    effect: Option<PathBuf>,
+    effect: Vec<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -98,10 +98,24 @@ pub fn motor_of(measurement: &Measurement, given: Option<&str>) -> Result<Option
     })
 }
 
-/// The effect in a file of the user's own.
-fn hypothesis(path: &Path) -> Result<Arc<Hypothesis>> {
-    let text = input::text(path, input::WRITTEN).with_context(|| format!("reading the effect {}", path.display()))?;
-    Ok(Arc::new(parse_hypothesis(&path.display().to_string(), &text)?))
+/// The effects in files of the user's own.
+fn hypotheses(files: &[PathBuf]) -> Result<Vec<Arc<Hypothesis>>> {
+    let mut all: Vec<Arc<Hypothesis>> = Vec::new();
+    for path in files {
+        let text =
+            input::text(path, input::WRITTEN).with_context(|| format!("reading the effect {}", path.display()))?;
+        for hypothesis in parse_hypotheses(&path.display().to_string(), &text)? {
+            if all.iter().any(|h| h.name == hypothesis.name) {
+                bail!(
+                    "--effect {}: `effects.{}` is in another file too: give it a name of its own",
+                    path.display(),
+                    hypothesis.name
+                );
+            }
+            all.push(Arc::new(hypothesis));
+        }
+    }
+    Ok(all)
 }
 
 /// Runs `twum diagnose`.
@@ -127,10 +141,10 @@ pub fn run(args: Args) -> Result<ExitCode> {
         coasting: flavour == Flavour::Thesis,
         motor: motor_file.as_ref().map(|m| m.parameters(flavour)),
         without: args.without.clone(),
-        mine: args.effect.as_deref().map(hypothesis).transpose()?,
+        formulas: hypotheses(&args.effect)?,
     };
     for name in &args.without {
-        if !known_effects().contains(&name.as_str()) {
+        if !known_effects().contains(name) {
             bail!("--without {name}: no effect of this name; the names are {}", known_effects().join(", "));
         }
     }

@@ -5,7 +5,7 @@ use super::App;
 use super::answer::{Answer, Refused, in_force};
 use crate::configuration::controller;
 use crate::model::closed_loop::{LoopProgram, following, run as run_loop};
-use crate::model::effects::{CATALOGUE, EffectSet};
+use crate::model::effects::{EffectSet, catalogue};
 use crate::model::motor::{Motor, SHIPPED};
 use crate::model::motor_plant::{History, MotorPlant, Solver};
 use crate::model::parameters::{Flavour, SPECS};
@@ -103,7 +103,7 @@ async fn sliders(State(app): State<Arc<App>>, Query(which): Query<Which>) -> Ans
         });
         rows.collect()
     };
-    let effects: Vec<Value> = CATALOGUE
+    let effects: Vec<Value> = catalogue()
         .iter()
         .map(|effect| {
             let parameters: Vec<Value> = effect

@@ -6,7 +6,7 @@ use crate::drives::{Run, runs};
 use rayon::prelude::*;
 use std::fmt::Write;
 use twum_host::link::LinkError;
-use twum_host::model::effects::{CATALOGUE, EffectSet};
+use twum_host::model::effects::{EffectSet, catalogue};
 use twum_host::model::motor::Motor;
 use twum_host::model::parameters::Flavour;
 use twum_host::sim::Setup;
@@ -37,7 +37,7 @@ impl Sound {
 fn motors() -> Vec<Sound> {
     let with = |flavour: Flavour| {
         let alone = Sound { flavour, effects: EffectSet::default(), name: "no effect" };
-        let each = CATALOGUE.iter().filter_map(move |info| {
+        let each = catalogue().iter().filter_map(move |info| {
             let mut effects = EffectSet::default();
             let typical: Vec<f64> = info.parameters.iter().map(|parameter| parameter.typical).collect();
             effects.set(info.name, &typical).expect("a typical size is within its bounds");

@@ -219,10 +219,7 @@ impl Diagnosis {
                 },
                 noise_floor: floor,
             },
-            effects: findings
-                .iter()
-                .map(|f| effect_answer(f, says(&f.name, outcome.problem.mine.as_deref())))
-                .collect(),
+            effects: findings.iter().map(|f| effect_answer(f, says(&f.name, &outcome.problem.formulas))).collect(),
             extended: Scores {
                 r2_speed: outcome.r2[1],
                 rmse_speed_rpm: Some(extended),

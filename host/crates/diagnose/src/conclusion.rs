@@ -151,7 +151,7 @@ impl View<'_> {
     /// Names of the effects that cannot be told from one of these, but for itself.
     fn rivals(&self, effect: usize) -> Vec<String> {
         let others = self.standing.judged.set_of(effect).into_iter().flatten().filter(|o| **o != effect);
-        others.map(|o| self.ground.effects[*o].name.to_owned()).collect()
+        others.map(|o| self.ground.effects[*o].name.to_string()).collect()
     }
 
     /// The effects of the accepted set.
@@ -168,7 +168,7 @@ impl View<'_> {
                 .effects
                 .iter()
                 .filter(|o| o.acts_unseen(ground.problem) && o.is_mistaken_over_duty_for(effect))
-                .map(|o| o.name.to_owned())
+                .map(|o| o.name.to_string())
                 .collect();
             let one_of = self.standing.judged.set_of(part.effect).is_some();
             let p_null = self.chance.p(&held);
@@ -182,7 +182,7 @@ impl View<'_> {
                 _ => unseen,
             };
             Finding {
-                name: effect.name.to_owned(),
+                name: effect.name.to_string(),
                 status: if once || by_chance || one_of || !conflicts.is_empty() {
                     Status::Ambiguous
                 } else {
@@ -225,7 +225,7 @@ impl View<'_> {
             let set = visited.iter().filter(|_| likely).find(|s| s.key().contains(&effect));
             let part = set.and_then(|s| s.parts.iter().find(|p| p.effect == effect).map(|p| (s, p)));
             Finding {
-                name: e.name.to_owned(),
+                name: e.name.to_string(),
                 status: if rival { Status::Ambiguous } else { Status::Rejected },
                 probability: Some(inclusion(judged, effect)),
                 gain: held.gain(),

@@ -2,7 +2,7 @@
 
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM, RunResidual};
-use super::rotor::{P, Parameters, RunTerms, Trajectory, effective_duty};
+use super::rotor::{P, Parameters, RunTerms, Trajectory, effective_duty, placed};
 use rayon::prelude::*;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -211,7 +211,8 @@ impl<'a> Linearised<'a> {
         // A duty that is mapped to the same one as before is the same drive: most of a coarse grid's treads are.
         let mapped = |duty: f64| effective_duty(duty, p) == effective_duty(duty, here);
         let by_the_duty_alone = || P::ALL.into_iter().all(|which| !moves(which) || P::OF_THE_DUTY.contains(&which));
-        if self.problem.mine.is_none() && self.problem.runs[i].duty.is_some_and(mapped) && by_the_duty_alone() {
+        let no_formula = || placed(&self.problem.formulas).all(|(h, places)| !h.is_there(&p.of_formula(places)));
+        if self.problem.runs[i].duty.is_some_and(mapped) && by_the_duty_alone() && no_formula() {
             return now.clone();
         }
         self.residual(i, p, warmth)

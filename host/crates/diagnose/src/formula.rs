@@ -4,7 +4,7 @@ use super::answer::DescribedAnswer;
 use super::finding::Curve;
 use std::fmt::Write as _;
 use std::sync::Arc;
-use twum_motor::hypothesis::{ActsOn, Hypothesis, LONGEST, Mine, Number, Role};
+use twum_motor::hypothesis::{ActsOn, DESCRIBED, DIMENSIONLESS, Formula, Hypothesis, LONGEST, Number, Role};
 
 /// Why a term is not in the file.
 const NOT_SAID: &str = "no formula over what the motor model knows says it";
@@ -14,7 +14,7 @@ const TOO_LONG: &str = "with it the formula would be longer than a motor file ta
 const DECIMALS: usize = 5;
 
 /// The terms that a formula can say, the strongest first, as one effect on the speed; and those that it cannot, with the reason.
-pub fn effect(described: &[DescribedAnswer], voltage_per_speed: f64) -> (Option<Mine>, Vec<(&str, &'static str)>) {
+pub fn effect(described: &[DescribedAnswer], voltage_per_speed: f64) -> (Option<Formula>, Vec<(&str, &'static str)>) {
     let (mut said, mut left): (Vec<&DescribedAnswer>, _) = (Vec::new(), Vec::new());
     let mut effect = None;
     for term in described {
@@ -34,7 +34,7 @@ pub fn effect(described: &[DescribedAnswer], voltage_per_speed: f64) -> (Option<
     (effect, left)
 }
 
-fn together(terms: &[&DescribedAnswer], voltage_per_speed: f64) -> Option<Mine> {
+fn together(terms: &[&DescribedAnswer], voltage_per_speed: f64) -> Option<Formula> {
     let mut shapes: Vec<Shape> = terms.iter().filter_map(|t| shape(&t.curve)).collect();
     for k in 1..shapes.len() {
         // Two terms over one coordinate have a size each.
@@ -48,14 +48,21 @@ fn together(terms: &[&DescribedAnswer], voltage_per_speed: f64) -> Option<Mine> 
         return None;
     }
     // Bounds for who fits it again: none at all, or twice as much.
-    let number = |s: &Shape| Number { name: s.name.clone(), role: Role::Typical(s.size), min: 0.0, max: 2.0 * s.size };
+    let number = |s: &Shape| Number {
+        name: s.name.clone(),
+        unit: DIMENSIONLESS.to_owned(),
+        role: Role::Typical(s.size),
+        min: 0.0,
+        max: 2.0 * s.size,
+    };
     let places: Vec<&str> = terms.iter().map(|t| t.coordinate.as_str()).collect();
     let says = format!("no cause: what no effect of the library explains, over {}", places.join("; "));
-    let hypothesis = Hypothesis::new(&says, ActsOn::Speed, &change, shapes.iter().map(number).collect()).ok()?;
+    let numbers = shapes.iter().map(number).collect();
+    let hypothesis = Hypothesis::new(DESCRIBED, &says, ActsOn::Speed, &change, numbers).ok()?;
     // In the order that the hypothesis has them.
     let size = |n: &Number| shapes.iter().find(|s| s.name == n.name).map_or(0.0, |s| s.size);
     let values = hypothesis.numbers.iter().map(size).collect();
-    Some(Mine { hypothesis: Arc::new(hypothesis), values, voltage_per_speed })
+    Some(Formula { hypothesis: Arc::new(hypothesis), values, voltage_per_speed })
 }
 
 /// A curve: its largest change, and a formula of what of it is where.

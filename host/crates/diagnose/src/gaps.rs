@@ -68,7 +68,7 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
     if total == 0 {
         return None;
     }
-    let corrected = Problem::new(runs).with(problem.mine.clone());
+    let corrected = Problem::new(runs).with(problem.formulas.clone());
     let after = corrected.residuals(model);
     let squares = squared(problem, &now).zip(squared(&corrected, &after));
     let pairs: Vec<[f64; 2]> = squares.map(|(before, after)| [before, after]).collect();

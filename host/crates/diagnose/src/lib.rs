@@ -66,6 +66,7 @@ use problem::Problem;
 use rotor::{P, Parameters};
 use runs::diagnose_runs;
 use std::sync::Arc;
+use twum_motor::formula_file::shipped_effects;
 use twum_motor::hypothesis::Hypothesis;
 use twum_record::convert::changes;
 use twum_record::measurement::{Format, Measurement, Run, RunData, RunKind};
@@ -79,6 +80,16 @@ pub enum DiagnoseError {
     /// Folders of different kinds were mixed.
     #[error("{0}")]
     Mixed(String),
+    /// More numbers than there are places for.
+    #[error(
+        "the effects that are formulas have {given} numbers together; {most} can be fitted at once: leave an effect out"
+    )]
+    TooManyNumbers {
+        /// How many they have.
+        given: usize,
+        /// How many there may be.
+        most: usize,
+    },
 }
 
 /// What is asked for.
@@ -94,13 +105,13 @@ pub struct Options {
     pub motor: Option<twum_motor::parameters::Parameters>,
     /// Effects taken out of the library.
     pub without: Vec<String>,
-    /// An effect of the user's own, which is searched for like those of the library.
-    pub mine: Option<Arc<Hypothesis>>,
+    /// Effects of the user's own, which are searched for like those of the library.
+    pub formulas: Vec<Arc<Hypothesis>>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { seed: 1, quick: false, coasting: false, motor: None, without: Vec::new(), mine: None }
+        Self { seed: 1, quick: false, coasting: false, motor: None, without: Vec::new(), formulas: Vec::new() }
     }
 }
 
@@ -118,11 +129,21 @@ pub enum Details {
     Inertial(Box<inertial::InertialOutcome>),
 }
 
+/// The effects that are formulas: those shipped, and the user's own, of which one may stand in the place of a shipped one.
+fn formulas(options: &Options) -> Result<Vec<Arc<Hypothesis>>, DiagnoseError> {
+    let replaced = |shipped: &&Arc<Hypothesis>| options.formulas.iter().any(|own| own.name == shipped.name);
+    let shipped = shipped_effects().iter().filter(|h| !replaced(h));
+    let all: Vec<Arc<Hypothesis>> = shipped.chain(&options.formulas).cloned().collect();
+    let given = all.iter().map(|h| h.numbers.len()).sum();
+    let most = P::FORMULA.len();
+    if given > most { Err(DiagnoseError::TooManyNumbers { given, most }) } else { Ok(all) }
+}
+
 /// Diagnoses measurement folders together.
 ///
 /// # Errors
-/// When there is no run at all, or when folders of different plants are mixed. Data that can be read but say too little
-/// give an answer that says so.
+/// When there is no run at all, when folders of different plants are mixed, or when formulas have too many numbers. Data that can be
+/// read but say too little give an answer that says so.
 pub fn diagnose(
     measurements: &[Measurement],
     options: &Options,
@@ -139,7 +160,7 @@ pub fn diagnose(
                 "runs of an ordinary motor (format `drive`) and of a TWUM cannot be diagnosed together: name one kind of folder".to_owned(),
             ));
         }
-        if options.mine.is_some() {
+        if !options.formulas.is_empty() {
             return Err(DiagnoseError::Mixed(
                 "an effect of one's own acts on a TWUM's wave or duty; these are runs of an ordinary motor (format `drive`)".to_owned(),
             ));
@@ -148,6 +169,7 @@ pub fn diagnose(
         let (diagnosis, outcome) = inertial::diagnose_drives(&runs, options, progress);
         return Ok((diagnosis, outcome.map(|o| Details::Inertial(Box::new(o)))));
     }
+    let formulas = formulas(options)?;
     let mut notes = Vec::new();
     let mut runs = Vec::new();
     for (part, m) in measurements.iter().enumerate() {
@@ -184,7 +206,7 @@ pub fn diagnose(
     if !replicated && runs.len() > 1 {
         notes.push("fewer than four runs: no replication, nothing can be said about run-to-run spread".to_owned());
     }
-    let problem = Problem::new(runs).with(options.mine.clone());
+    let problem = Problem::new(runs).with(formulas);
     if problem.duties() == 1 && problem.runs.iter().all(|r| r.kind == RunKind::Speed) {
         notes.push("one duty only: effects over duty (dead zone, saturation, sag, rounding) cannot be seen; add runs at two other duties".to_owned());
     }
@@ -217,10 +239,13 @@ pub fn diagnose(
 }
 
 /// Names of all effects that can be found, of TWUMs and of ordinary motors.
-pub fn known_effects() -> Vec<&'static str> {
+pub fn known_effects() -> Vec<String> {
     let mut names = library::known_effects();
-    let ordinary: Vec<&str> = inertial::EFFECTS.iter().map(|e| e.name).filter(|n| !names.contains(n)).collect();
-    names.extend(ordinary);
+    for effect in inertial::EFFECTS {
+        if names.iter().all(|n| n != effect.name) {
+            names.push(effect.name.to_owned());
+        }
+    }
     names
 }
 

@@ -65,7 +65,7 @@ fn pulsed_speed_of(rotor: &Rotor) -> f64 {
         angles: &[0.0, 0.0],
         warmth: 0.0,
         revolutions: 0.0,
-        mine: None,
+        formulas: &[],
     };
     let angle = simulate(&input, &bare, &RunTerms::default()).angle;
     (angle[1] - angle[0]) / PULSED_S

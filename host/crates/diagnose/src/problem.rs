@@ -20,8 +20,8 @@ pub struct Problem {
     revolutions_before: Vec<f64>,
     /// Run indices in the order of making, if every run states it.
     sequence: Option<Vec<usize>>,
-    /// An effect of the user's own.
-    pub mine: Option<Arc<Hypothesis>>,
+    /// Effects that are formulas: of the library, and the user's own.
+    pub formulas: Vec<Arc<Hypothesis>>,
 }
 
 /// A model: common parameters and what belongs to single runs.
@@ -64,12 +64,12 @@ impl Problem {
                 total += run.revolutions() * (run.drive_end / seen).clamp(1.0, 5.0);
             }
         }
-        Self { runs, revolutions_before, sequence, mine: None }
+        Self { runs, revolutions_before, sequence, formulas: Vec::new() }
     }
 
-    /// The same runs, and an effect of the user's own.
-    pub fn with(self, mine: Option<Arc<Hypothesis>>) -> Self {
-        Self { mine, ..self }
+    /// The same runs, and effects that are formulas.
+    pub fn with(self, formulas: Vec<Arc<Hypothesis>>) -> Self {
+        Self { formulas, ..self }
     }
 
     /// The same runs compared over stretches of several edges, see [`Observed::widen`].
@@ -82,7 +82,7 @@ impl Problem {
     pub fn thinned(&self) -> Self {
         let mut runs = self.runs.clone();
         thin(&mut runs, 1);
-        Self::new(runs).with(self.mine.clone())
+        Self::new(runs).with(self.formulas.clone())
     }
 
     /// How many windows are compared.
@@ -169,7 +169,7 @@ impl Problem {
             angles: &run.angles,
             warmth,
             revolutions: self.revolutions_before[i],
-            mine: self.mine.as_deref(),
+            formulas: &self.formulas,
         }
     }
 

@@ -20,9 +20,9 @@ pub fn diagnose_runs(
     settings: &Settings,
     progress: &dyn Fn(&str, f64),
 ) -> Outcome {
-    let effects: Vec<Effect> = library(home.get(P::OnAcceleration), &clock_errors(problem), problem.mine.as_deref())
+    let effects: Vec<Effect> = library(home.get(P::OnAcceleration), &clock_errors(problem), &problem.formulas)
         .into_iter()
-        .filter(|e| !settings.without.iter().any(|w| w == e.name))
+        .filter(|e| !settings.without.iter().any(|w| *w == e.name))
         .collect();
     let mut refused = vec![(
         "presliding".to_owned(),
@@ -31,7 +31,7 @@ pub fn diagnose_runs(
     let mut usable = Vec::new();
     for (i, effect) in effects.iter().enumerate() {
         match not_judged(effect, problem) {
-            Some(reason) => refused.push((effect.name.to_owned(), reason)),
+            Some(reason) => refused.push((effect.name.to_string(), reason)),
             None => usable.push(i),
         }
     }

@@ -6,11 +6,11 @@ use super::library::library;
 use super::motor::{free_speed, refitted};
 use super::problem::{Model, Problem};
 use super::refit::coefficients;
-use super::rotor::{HARMONICS, P, Parameters as Rotor, warm_up};
+use super::rotor::{HARMONICS, P, Parameters as Rotor, placed, warm_up};
 use std::fmt::Write as _;
 use std::sync::Arc;
 use twum_motor::effects::info;
-use twum_motor::hypothesis::{self, ActsOn, Hypothesis, Mine};
+use twum_motor::hypothesis::{ActsOn, DESCRIBED, Formula, Hypothesis};
 use twum_motor::motor::{Listed, Motor};
 use twum_motor::parameters::{Flavour, Parameters};
 
@@ -113,7 +113,7 @@ fn reached(problem: &Problem, p: &Rotor) -> (f64, f64) {
 
 /// Whether an effect of the library was fitted in a model: of effects that cannot be told apart, some are.
 fn is_in(name: &str, extended: &Model) -> bool {
-    let effects = library(1.0, &[], None);
+    let effects = library(1.0, &[], &[]);
     effects.iter().filter(|e| e.name == name).flat_map(|e| &e.forms).any(|form| {
         form.sizes.iter().any(|s| extended.parameters.get(s.parameter) != 0.0)
             || coefficients(extended, &form.phased).iter().flatten().any(|c| *c != 0.0)
@@ -265,20 +265,25 @@ fn runout(convert: &Conversion, extended: &Model, problem: &Problem) -> Carried 
     Ok(values)
 }
 
-/// The user's own effect with what was fitted. Of a change of the speed the model's voltage is changed, as far as gives it.
-fn own(mine: &Arc<Hypothesis>, convert: &Conversion, extended: &Model) -> Result<Mine, &'static str> {
-    let values = &extended.parameters.mine()[..mine.numbers.len()];
-    if !mine.is_there(values) {
+/// An effect that is a formula, with what was fitted. Of a change of the speed the model's voltage is changed, as far as gives it.
+fn formula_fitted(
+    hypothesis: &Arc<Hypothesis>,
+    places: &[P],
+    convert: &Conversion,
+    extended: &Model,
+) -> Result<Formula, &'static str> {
+    let values = &extended.parameters.of_formula(places)[..hypothesis.numbers.len()];
+    if !hypothesis.is_there(values) {
         return Err("it cannot be told from another one here, which was fitted in its place");
     }
     let voltage_per_speed =
-        if mine.acts_on == ActsOn::Speed { convert.voltage_per_speed().ok_or(NOT_REACHED)? } else { 1.0 };
-    Ok(Mine { hypothesis: mine.clone(), values: values.to_vec(), voltage_per_speed })
+        if hypothesis.acts_on == ActsOn::Speed { convert.voltage_per_speed().ok_or(NOT_REACHED)? } else { 1.0 };
+    Ok(Formula { hypothesis: hypothesis.clone(), values: values.to_vec(), voltage_per_speed })
 }
 
 /// What was described, marked as no cause, in place of what a former diagnosis described; where it cannot be said, why, in the file's head.
 fn describe(out: &mut Motor, convert: &Conversion, diagnosis: &Diagnosis, head: &mut String) {
-    out.effects.remove(hypothesis::DESCRIBED);
+    out.effects.remove(DESCRIBED);
     for term in &diagnosis.described {
         let _ = writeln!(head, "#   no cause, over {}: {}", term.coordinate, term.equation);
     }
@@ -287,7 +292,7 @@ fn describe(out: &mut Motor, convert: &Conversion, diagnosis: &Diagnosis, head: 
         None => (None, diagnosis.described.iter().map(|t| (t.coordinate.as_str(), NOT_REACHED)).collect()),
     };
     if let Some(effect) = effect {
-        out.effects.insert(hypothesis::DESCRIBED.to_owned(), Listed::Mine(effect));
+        out.effects.insert(DESCRIBED.to_owned(), Listed::Formula(effect));
     }
     for (coordinate, why) in left {
         let _ = writeln!(head, "# Not in this file: what was described over {coordinate}; {why}.");
@@ -339,9 +344,9 @@ pub fn file(
     let mut out = refitted(motor, flavour, &extended.parameters);
     let convert = Conversion::new(&out, flavour);
     for e in diagnosis.effects.iter().filter(|e| e.status != "rejected") {
-        if let (hypothesis::NAME, Some(mine)) = (e.name.as_str(), &problem.mine) {
-            match own(mine, &convert, extended) {
-                Ok(mine) => drop(out.effects.insert(e.name.clone(), Listed::Mine(mine))),
+        if let Some((hypothesis, places)) = placed(&problem.formulas).find(|(h, _)| h.name == e.name) {
+            match formula_fitted(hypothesis, places, &convert, extended) {
+                Ok(formula) => drop(out.effects.insert(e.name.clone(), Listed::Formula(formula))),
                 Err(why) => drop(writeln!(text, "# Not in this file: {}; {why}.", e.name)),
             }
             continue;

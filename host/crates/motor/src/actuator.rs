@@ -24,9 +24,10 @@ pub fn effective_duty(effects: &EffectSet, duty: f64, direction: Direction) -> f
     if u == 0.0 {
         return u;
     }
-    for mine in [&effects.mine, &effects.described].into_iter().flatten() {
-        u = (u + mine.change_of(ActsOn::Duty, &Now { duty, direction: f64::from(direction.sign()), ..Now::default() }))
-            .clamp(0.0, 1.0);
+    for formula in &effects.formulas {
+        u = (u + formula
+            .change_of(ActsOn::Duty, &Now { duty, direction: f64::from(direction.sign()), ..Now::default() }))
+        .clamp(0.0, 1.0);
     }
     if let Some(e) = effects.duty_quantisation
         && e.step > 0.0

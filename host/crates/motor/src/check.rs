@@ -4,7 +4,7 @@
 use super::averaged::Averaged;
 use super::carrier::Carrier;
 use super::closed_loop::{Following, LoopProgram, following, run};
-use super::effects::{CATALOGUE, EffectSet, FrequencySettling};
+use super::effects::{EffectSet, FrequencySettling, catalogue};
 use super::modulation::Modulation;
 use super::motor::Motor;
 use super::motor_plant::{History, MotorPlant, Solver};
@@ -221,7 +221,7 @@ pub fn pieces(motor: &Motor) -> Result<Vec<Piece>, ConfigError> {
             settling,
         ),
     ];
-    for info in CATALOGUE {
+    for info in catalogue() {
         let mut effects = EffectSet::default();
         let typical: Vec<f64> = info.parameters.iter().map(|p| p.typical).collect();
         if effects.set(info.name, &typical).is_ok() {

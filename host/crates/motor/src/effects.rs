@@ -1,75 +1,21 @@
 //! Effects a measurement can hide: each one small type, with parameters, units, bounds and the value at which it is absent.
 //!
 //! An effect acts where it lives: in the plant (through [`super::modulation::Modulation`]), on the way from the duty to the plant
-//! ([`super::actuator`]), in the encoder and its clock ([`super::sensor`]), or in the controller ([`super::closed_loop`]).
-//! [`EffectSet`] holds any combination of them, and a user's own ([`super::hypothesis`]); [`CATALOGUE`] lists them for whoever searches.
+//! ([`super::actuator`]), in the encoder and its clock ([`super::sensor`]), or in the controller ([`super::closed_loop`]). Those that are
+//! formulas ([`super::hypothesis`]) act by themselves. [`EffectSet`] holds any combination of them, and of a user's own;
+//! [`catalogue`] lists them for whoever searches.
 
-use super::hypothesis::Mine;
-use serde::Serialize;
+pub use super::effect_info::{EffectInfo, EffectParameter, Kind, Seat};
+use super::formula_file::shipped_effects;
+use super::hypothesis::Formula;
+use std::sync::LazyLock;
 use thiserror::Error;
-
-/// Where an effect lives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Seat {
-    /// The motor itself.
-    Plant,
-    /// Between the commanded duty and the supply.
-    Actuator,
-    /// The encoder and the clock that times it.
-    Sensor,
-    /// The control step.
-    Controller,
-}
-
-/// How a parameter behaves, for whoever fits it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Kind {
-    /// A number on a line.
-    Linear,
-    /// A positive scale (time constant, speed): fit its logarithm. Means nothing while the effect's size is absent.
-    Scale,
-    /// An angle: fit it together with the size as (size·cos, size·sin). Means nothing while the size is absent.
-    Angle,
-}
-
-/// One parameter of an effect.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct EffectParameter {
-    /// Name, as in the answer of `twum diagnose`.
-    pub name: &'static str,
-    /// Unit.
-    pub unit: &'static str,
-    /// Smallest admissible value.
-    pub lower: f64,
-    /// Largest admissible value.
-    pub upper: f64,
-    /// The value at which the effect is not there. A parameter of kind other than `Linear` has no such value: its
-    /// `absent` is only where to start.
-    pub absent: f64,
-    /// A size at which the effect is plain to see in the 30 mm motor: a scale for steps of a search.
-    pub typical: f64,
-    /// How it behaves.
-    pub kind: Kind,
-}
-
-/// One effect of the catalogue.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct EffectInfo {
-    /// Name, as in the answer of `twum diagnose`.
-    pub name: &'static str,
-    /// Where it lives.
-    pub seat: Seat,
-    /// Its parameters, the size first.
-    pub parameters: &'static [EffectParameter],
-}
 
 /// A name or a value that will not do.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum EffectError {
     /// No effect of this name.
-    #[error("no effect `{name}`: the names are {}", CATALOGUE.iter().map(|e| e.name).collect::<Vec<_>>().join(", "))]
+    #[error("no effect `{name}`: the names are {}", catalogue().iter().map(|e| e.name).collect::<Vec<_>>().join(", "))]
     Unknown {
         /// What was asked for.
         name: String,
@@ -132,17 +78,15 @@ macro_rules! effects {
             }
         )+
 
-        /// Every effect, in the order of the catalogue.
-        pub const CATALOGUE: &[EffectInfo] = &[ $( $type::INFO, )+ ];
+        /// Every effect that is listed below, in the order of the catalogue.
+        const LISTED: &[EffectInfo] = &[ $( $type::INFO, )+ ];
 
         /// Any combination of effects; the default is none.
         #[derive(Debug, Clone, PartialEq, Default)]
         pub struct EffectSet {
             $( #[doc = concat!("`", $name, "`.")] pub $slot: Option<$type>, )+
-            /// The user's own.
-            pub mine: Option<Mine>,
-            /// What a diagnosis described without a cause.
-            pub described: Option<Mine>,
+            /// Those that are formulas: of the catalogue, the user's own, and what a diagnosis described without a cause.
+            pub formulas: Vec<Formula>,
         }
 
         impl EffectSet {
@@ -161,7 +105,7 @@ macro_rules! effects {
                         });
                         Ok(())
                     } )+
-                    _ => Err(EffectError::Unknown { name: name.to_owned() }),
+                    _ => self.set_formula(name, values),
                 }
             }
 
@@ -169,20 +113,55 @@ macro_rules! effects {
             pub fn remove(&mut self, name: &str) {
                 match name {
                     $( $name => self.$slot = None, )+
-                    _ => {}
+                    _ => self.formulas.retain(|f| f.hypothesis.name != name),
                 }
             }
 
-            /// The effects present, with their values.
+            /// Takes in what another combination has; an effect that both have becomes the other's.
+            pub fn join(&mut self, other: &EffectSet) {
+                $( self.$slot = other.$slot.or(self.$slot); )+
+                other.formulas.iter().for_each(|f| self.put(f.clone()));
+            }
+
+            /// The effects of the catalogue that are present, with their values.
             pub fn present(&self) -> Vec<(&'static EffectInfo, Vec<f64>)> {
                 let mut present = Vec::new();
                 $( if let Some(effect) = self.$slot {
                     present.push((&$type::INFO, vec![ $( effect.$field, )+ ]));
                 } )+
+                let shipped = |f: &Formula| info(&f.hypothesis.name).ok().map(|info| (info, f.values.clone()));
+                present.extend(self.formulas.iter().filter_map(shipped));
                 present
             }
         }
     };
+}
+
+impl EffectSet {
+    /// Adds a formula, or replaces the one of its name.
+    pub fn put(&mut self, formula: Formula) {
+        self.remove(&formula.hypothesis.name);
+        self.formulas.push(formula);
+    }
+
+    fn set_formula(&mut self, name: &str, values: &[f64]) -> Result<(), EffectError> {
+        let shipped = shipped_effects().iter().find(|h| h.name == name);
+        let hypothesis = shipped.ok_or_else(|| EffectError::Unknown { name: name.to_owned() })?.clone();
+        let info = info(name)?;
+        check(info, values)?;
+        let value = |(k, p): (usize, &EffectParameter)| values.get(k).copied().unwrap_or(p.absent);
+        let values = info.parameters.iter().enumerate().map(value).collect();
+        self.put(Formula { hypothesis, values, voltage_per_speed: 1.0 });
+        Ok(())
+    }
+}
+
+/// Every effect of the library.
+pub fn catalogue() -> &'static [EffectInfo] {
+    static ALL: LazyLock<Vec<EffectInfo>> = LazyLock::new(|| {
+        LISTED.iter().copied().chain(shipped_effects().iter().map(|h| EffectInfo::of_formula(h))).collect()
+    });
+    &ALL
 }
 
 fn check(info: &EffectInfo, values: &[f64]) -> Result<(), EffectError> {
@@ -208,7 +187,7 @@ fn check(info: &EffectInfo, values: &[f64]) -> Result<(), EffectError> {
 /// # Errors
 /// When there is no such effect.
 pub fn info(name: &str) -> Result<&'static EffectInfo, EffectError> {
-    CATALOGUE.iter().find(|info| info.name == name).ok_or_else(|| EffectError::Unknown { name: name.to_owned() })
+    catalogue().iter().find(|info| info.name == name).ok_or_else(|| EffectError::Unknown { name: name.to_owned() })
 }
 
 effects! {
@@ -468,8 +447,8 @@ mod tests {
 
     #[test]
     fn the_catalogue_is_the_one_the_answer_names() {
-        assert_eq!(CATALOGUE.len(), 23);
-        for info in CATALOGUE {
+        assert_eq!(LISTED.len(), 23);
+        for info in catalogue() {
             assert_eq!(info.parameters[0].kind, Kind::Linear, "{}: the size comes first", info.name);
             for p in info.parameters {
                 assert!(
@@ -494,5 +473,23 @@ mod tests {
         assert!(matches!(set.set("dead", &[2.0]), Err(EffectError::Unknown { .. })));
         set.remove("dead-zone");
         assert_eq!(set, EffectSet::default());
+    }
+
+    /// Fails if an effect that is one file and one line is not an effect like the others: by name, with bounds, absent and present.
+    #[test]
+    fn a_shipped_formula_is_an_effect_like_the_others() {
+        let mut set = EffectSet::default();
+        set.set("turned-drag", &[0.2]).unwrap();
+        let (info, values) = set.present().remove(0);
+        assert_eq!((info.name, info.seat, info.parameters[1].unit), ("turned-drag", Seat::Plant, "rad"));
+        assert_eq!(values, [0.2, 6.0]);
+        assert!(matches!(set.set("turned-drag", &[0.9]), Err(EffectError::OutOfBounds { .. })));
+        let mut other = EffectSet::default();
+        other.set("turned-drag", &[0.1, 3.0]).unwrap();
+        other.set("dead-zone", &[0.1]).unwrap();
+        set.join(&other);
+        assert_eq!(set, other);
+        set.remove("turned-drag");
+        assert!(set.formulas.is_empty());
     }
 }

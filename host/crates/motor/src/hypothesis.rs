@@ -18,8 +18,10 @@ use exmex::{Express, FlatEx, FloatOpsFactory, MatchLiteral, literal_matcher_from
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use std::sync::Arc;
 
-/// The name of a user's own effect, in files and in answers.
-pub const NAME: &str = "mine";
+/// The unit of a number that has none.
+pub const DIMENSIONLESS: &str = "1";
+/// Longest name of an effect: it stands in tables.
+const LONGEST_NAME: usize = 40;
 /// The name in files of what a diagnosis describes and has no cause for: a formula like a user's own.
 pub const DESCRIBED: &str = "described";
 
@@ -39,7 +41,7 @@ pub const MOST_NUMBERS: usize = 4;
 literal_matcher_from_pattern!(Decimal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?");
 
 /// A formula as it is evaluated; its numbers may have an exponent.
-type Formula = FlatEx<f64, FloatOpsFactory<f64>, Decimal>;
+type Expression = FlatEx<f64, FloatOpsFactory<f64>, Decimal>;
 
 /// Longest formula in characters: its parser calls itself for every parenthesis.
 pub const LONGEST: usize = 500;
@@ -106,6 +108,8 @@ pub enum Role {
 pub struct Number {
     /// Its name there.
     pub name: String,
+    /// Its unit, for who reads the answer.
+    pub unit: String,
     /// What it is.
     pub role: Role,
     /// Least admissible value.
@@ -124,6 +128,8 @@ impl Number {
 /// A formula, where it acts, and what is known of its numbers.
 #[derive(Debug, Clone)]
 pub struct Hypothesis {
+    /// What the effect is called, in files and in answers.
+    pub name: String,
     /// A sentence for the answer.
     pub says: String,
     /// Where it acts.
@@ -132,15 +138,15 @@ pub struct Hypothesis {
     pub change: String,
     /// Its numbers, sizes first.
     pub numbers: Vec<Number>,
-    formula: Formula,
+    formula: Expression,
     /// Where each variable of the formula stands: among [`VARIABLES`], and behind them the numbers.
     places: Vec<usize>,
 }
 
 impl PartialEq for Hypothesis {
     fn eq(&self, other: &Self) -> bool {
-        (&self.says, self.acts_on, &self.change, &self.numbers)
-            == (&other.says, other.acts_on, &other.change, &other.numbers)
+        (&self.name, &self.says, self.acts_on, &self.change, &self.numbers)
+            == (&other.name, &other.says, other.acts_on, &other.change, &other.numbers)
     }
 }
 
@@ -148,12 +154,25 @@ impl Hypothesis {
     /// # Errors
     /// Says in words what will not do: a formula that cannot be read or hangs on what is not there, numbers without a size, a change that
     /// is there without its sizes or is no number.
-    pub fn new(says: &str, acts_on: ActsOn, change: &str, mut numbers: Vec<Number>) -> Result<Self, String> {
+    pub fn new(
+        name: &str,
+        says: &str,
+        acts_on: ActsOn,
+        change: &str,
+        mut numbers: Vec<Number>,
+    ) -> Result<Self, String> {
+        let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
+        if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
+            return Err(format!(
+                "has a name that will not do: small letters, digits, `-` and `_`, {LONGEST_NAME} characters at most"
+            ));
+        }
         if change.chars().count() > LONGEST {
             return Err(format!("has a formula of more than {LONGEST} characters"));
         }
         numbers.sort_by_key(|n| !n.is_size());
-        let formula = Formula::parse(&signs(change)?).map_err(|e| format!("has a formula that cannot be read: {e}"))?;
+        let formula =
+            Expression::parse(&signs(change)?).map_err(|e| format!("has a formula that cannot be read: {e}"))?;
         let place = |name: &String| {
             let variable = VARIABLES.iter().position(|v| v.0 == name);
             variable.or_else(|| numbers.iter().position(|n| n.name == *name).map(|k| VARIABLES.len() + k)).ok_or_else(
@@ -172,7 +191,15 @@ impl Hypothesis {
         if let Some(k) = (0..numbers.len()).find(unused) {
             return Err(format!("has a number `{}` that its formula does not hold", numbers[k].name));
         }
-        let hypothesis = Self { says: says.to_owned(), acts_on, change: change.to_owned(), numbers, formula, places };
+        let hypothesis = Self {
+            name: name.to_owned(),
+            says: says.to_owned(),
+            acts_on,
+            change: change.to_owned(),
+            numbers,
+            formula,
+            places,
+        };
         hypothesis.check()?;
         Ok(hypothesis)
     }
@@ -313,7 +340,7 @@ fn places() -> impl Iterator<Item = Now> {
 
 /// A hypothesis with the values of its numbers: an effect that a motor has.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Mine {
+pub struct Formula {
     /// The formula.
     pub hypothesis: Arc<Hypothesis>,
     /// Values of its numbers, in their order.
@@ -322,7 +349,7 @@ pub struct Mine {
     pub voltage_per_speed: f64,
 }
 
-impl Mine {
+impl Formula {
     /// The change now, of what `acts_on`; 0 for anything else.
     pub fn change_of(&self, what: ActsOn, now: &Now) -> f64 {
         if self.hypothesis.acts_on == what && self.hypothesis.is_there(&self.values) {
@@ -333,12 +360,18 @@ impl Mine {
     }
 }
 
+fn is_dimensionless(unit: &&str) -> bool {
+    *unit == DIMENSIONLESS
+}
+
 /// As a file has it.
-impl Serialize for Mine {
+impl Serialize for Formula {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         #[derive(serde::Serialize)]
-        struct Row {
+        struct Row<'a> {
             value: f64,
+            #[serde(skip_serializing_if = "is_dimensionless")]
+            unit: &'a str,
             #[serde(flatten)]
             role: Role,
             min: f64,
@@ -346,8 +379,9 @@ impl Serialize for Mine {
         }
         let h = &self.hypothesis;
         let rows = h.numbers.iter().zip(&self.values);
-        let numbers: std::collections::BTreeMap<&str, Row> =
-            rows.map(|(n, v)| (n.name.as_str(), Row { value: *v, role: n.role, min: n.min, max: n.max })).collect();
+        let numbers: std::collections::BTreeMap<&str, Row<'_>> = rows
+            .map(|(n, v)| (n.name.as_str(), Row { value: *v, unit: &n.unit, role: n.role, min: n.min, max: n.max }))
+            .collect();
         let mut map = serializer.serialize_map(None)?;
         if !h.says.is_empty() {
             map.serialize_entry("says", &h.says)?;
@@ -368,18 +402,19 @@ mod tests {
     use proptest::prelude::*;
 
     fn size(name: &str) -> Number {
-        Number { name: name.to_owned(), role: Role::Typical(0.1), min: -0.5, max: 0.5 }
+        Number { name: name.to_owned(), unit: "1".to_owned(), role: Role::Typical(0.1), min: -0.5, max: 0.5 }
     }
 
     fn read(change: &str) -> Result<Hypothesis, String> {
-        Hypothesis::new("", ActsOn::Speed, change, vec![size("a")])
+        Hypothesis::new("mine", "", ActsOn::Speed, change, vec![size("a")])
     }
 
     #[test]
     fn a_formula_is_what_it_says() {
-        let tau = Number { name: "tau".into(), role: Role::Start(1.0), min: 0.1, max: 20.0 };
+        let tau = Number { name: "tau".into(), unit: "s".into(), role: Role::Start(1.0), min: 0.1, max: 20.0 };
         // The number of the form is named first, and still stands behind the size.
-        let h = Hypothesis::new("", ActsOn::Speed, "-a*duty*(1 - exp(-time_s/tau))", vec![tau, size("a")]).unwrap();
+        let h =
+            Hypothesis::new("mine", "", ActsOn::Speed, "-a*duty*(1 - exp(-time_s/tau))", vec![tau, size("a")]).unwrap();
         let now = Now { duty: 0.5, time_s: 2.0, ..Now::default() };
         assert!((h.change(&[0.2, 4.0], &now) + 0.2 * 0.5 * (1.0 - (-0.5_f64).exp())).abs() < 1e-15);
         assert_eq!(h.hangs_on().collect::<Vec<_>>(), ["duty", "time_s"]);
@@ -418,9 +453,9 @@ mod tests {
         let long = format!("a*({})", ["1"; 400].join("+"));
         assert!(read(&long).unwrap_err().contains("characters"));
         let without_size = Number { role: Role::Start(0.1), min: 0.05, ..size("a") };
-        assert!(Hypothesis::new("", ActsOn::Speed, "a", vec![without_size]).unwrap_err().contains("no size"));
-        assert!(Hypothesis::new("", ActsOn::Duty, "a*time_s", vec![size("a")]).unwrap_err().contains("time_s"));
-        assert!(Hypothesis::new("", ActsOn::Speed, "duty*a", vec![size("duty"), size("a")]).is_err());
+        assert!(Hypothesis::new("mine", "", ActsOn::Speed, "a", vec![without_size]).unwrap_err().contains("no size"));
+        assert!(Hypothesis::new("mine", "", ActsOn::Duty, "a*time_s", vec![size("a")]).unwrap_err().contains("time_s"));
+        assert!(Hypothesis::new("mine", "", ActsOn::Speed, "duty*a", vec![size("duty"), size("a")]).is_err());
     }
 
     proptest! {

@@ -20,17 +20,15 @@
 //! [measured.uoff]           # optional: where the measured flavour differs
 //! value = 0.0144
 //!
-//! [effects.dead-zone]       # optional: effects of the catalogue that this motor has, [effects.mine] and [effects.described]
+//! [effects.dead-zone]       # optional: effects of the catalogue that this motor has, and formulas ([`super::hypothesis`])
 //! threshold_duty = 0.05
 //! ```
 
-mod mine;
-
-pub use mine::parse_hypothesis;
-
 use super::effects::{EffectError, EffectInfo, EffectSet, info};
-use super::hypothesis::{self, Mine};
+use super::formula_file::{is_formula, shipped_effects};
+use super::hypothesis::{Formula, Hypothesis};
 use super::parameters::{Flavour, ParameterError, Parameters, SPECS};
+use super::reader::{FileError, Reader, Table};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -84,10 +82,10 @@ pub struct Motor {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Listed {
-    /// One of the [`super::effects::CATALOGUE`], with its parameters by name.
+    /// One of the [`super::effects::catalogue`], with its parameters by name.
     Known(BTreeMap<String, f64>),
-    /// The user's own, or what was described without a cause.
-    Mine(Mine),
+    /// A formula: the user's own, or what was described without a cause.
+    Formula(Formula),
 }
 
 /// What is wrong with a motor file; every message names the file, the key and the line.
@@ -115,95 +113,17 @@ pub enum MotorError {
         /// The name.
         name: String,
     },
-    /// Not TOML.
-    #[error("motor file {file}, line {line}: {message}")]
-    Syntax {
-        /// The file.
-        file: String,
-        /// Line, from 1.
-        line: usize,
-        /// What the parser says.
-        message: String,
-    },
-    /// A key with a value that will not do.
-    #[error("motor file {file}, line {line}: `{key}` {problem}")]
-    Key {
-        /// The file.
-        file: String,
-        /// Line, from 1.
-        line: usize,
-        /// The key, with its table.
-        key: String,
-        /// What is wrong and what to do.
-        problem: String,
-    },
+    /// What is in it will not do.
+    #[error(transparent)]
+    Content(#[from] FileError),
 }
 
 fn shipped() -> String {
     SHIPPED.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ")
 }
 
-/// A motor file being read: what an error needs to point.
-struct Reader<'a> {
-    file: &'a str,
-    text: &'a str,
-}
-
-type Table<'a> = Spanned<DeTable<'a>>;
-
-impl<'a> Reader<'a> {
-    fn root(&self) -> Result<Table<'a>, MotorError> {
-        DeTable::parse(self.text).map_err(|error| MotorError::Syntax {
-            file: self.file.into(),
-            line: self.line(error.span().map_or(0, |span| span.start)),
-            message: error.message().to_owned(),
-        })
-    }
-
-    fn line(&self, offset: usize) -> usize {
-        self.text.as_bytes().iter().take(offset).filter(|&&b| b == b'\n').count() + 1
-    }
-
-    fn key(&self, key: impl Into<String>, offset: usize, problem: impl Into<String>) -> MotorError {
-        MotorError::Key { file: self.file.into(), line: self.line(offset), key: key.into(), problem: problem.into() }
-    }
-
-    fn number(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<f64, MotorError> {
-        let text = match value.get_ref() {
-            DeValue::Float(number) => number.as_str().to_owned(),
-            DeValue::Integer(number) if number.radix() == 10 => number.as_str().to_owned(),
-            other => {
-                return Err(self.key(key, value.span().start, format!("must be a number, not {}", other.type_str())));
-            }
-        };
-        match text.parse::<f64>() {
-            Ok(number) if number.is_finite() => Ok(number),
-            _ => Err(self.key(key, value.span().start, format!("is {text}, which is not a finite number"))),
-        }
-    }
-
-    fn string(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<String, MotorError> {
-        match value.get_ref() {
-            DeValue::String(text) => Ok(text.to_string()),
-            other => Err(self.key(key, value.span().start, format!("must be a string, not {}", other.type_str()))),
-        }
-    }
-
-    fn known(&self, prefix: &str, table: &DeTable<'_>, known: &[&str]) -> Result<(), MotorError> {
-        for key in table.keys() {
-            if !known.contains(&key.get_ref().as_ref()) {
-                let name = format!("{prefix}{}", key.get_ref());
-                return Err(self.key(
-                    name,
-                    key.span().start,
-                    format!("is not a key here; the keys are {}", known.join(", ")),
-                ));
-            }
-        }
-        Ok(())
-    }
-
-    fn entry(&self, key: &str, unit: &str, value: &Spanned<DeValue<'_>>) -> Result<Entry, MotorError> {
+impl Reader<'_> {
+    fn entry(&self, key: &str, unit: &str, value: &Spanned<DeValue<'_>>) -> Result<Entry, FileError> {
         let at = value.span().start;
         let Some(table) = value.get_ref().as_table() else {
             return Err(self.key(key, at, "must be a table with value, unit, meaning and source"));
@@ -233,7 +153,7 @@ impl<'a> Reader<'a> {
         Ok(entry)
     }
 
-    fn motor(&self, root: &Table<'_>) -> Result<Motor, MotorError> {
+    fn motor(&self, root: &Table<'_>) -> Result<Motor, FileError> {
         let table = root.get_ref();
         self.known(
             "",
@@ -301,7 +221,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The parameters of a flavour that differ from those listed.
-    fn departures(&self, root: &DeTable<'_>, flavour: &str) -> Result<BTreeMap<String, Entry>, MotorError> {
+    fn departures(&self, root: &DeTable<'_>, flavour: &str) -> Result<BTreeMap<String, Entry>, FileError> {
         let Some(value) = root.get(flavour) else { return Ok(BTreeMap::new()) };
         let table =
             value.get_ref().as_table().ok_or_else(|| self.key(flavour, value.span().start, "must be a table"))?;
@@ -315,7 +235,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The effects listed; a parameter that is not given keeps the catalogue's absent value.
-    fn effects(&self, root: &DeTable<'_>) -> Result<BTreeMap<String, Listed>, MotorError> {
+    fn effects(&self, root: &DeTable<'_>) -> Result<BTreeMap<String, Listed>, FileError> {
         let mut out = BTreeMap::new();
         let Some(value) = root.get("effects") else { return Ok(out) };
         let Some(listed) = value.get_ref().as_table() else {
@@ -324,8 +244,9 @@ impl<'a> Reader<'a> {
         for (name, value) in listed {
             let key = format!("effects.{}", name.get_ref());
             let at = name.span().start;
-            if [hypothesis::NAME, hypothesis::DESCRIBED].iter().any(|own| name.get_ref() == own) {
-                out.insert(name.get_ref().to_string(), Listed::Mine(self.mine(&key, value)?));
+            if is_formula(value) {
+                self.own_name(&key, at, name.get_ref())?;
+                out.insert(name.get_ref().to_string(), Listed::Formula(self.formula(&key, name.get_ref(), value)?));
                 continue;
             }
             let info = info(name.get_ref()).map_err(|error| self.key(&*key, at, format!("will not do: {error}")))?;
@@ -344,6 +265,18 @@ impl<'a> Reader<'a> {
             out.insert(info.name.to_owned(), Listed::Known(values));
         }
         Ok(out)
+    }
+
+    /// Refuses the name of an effect of the catalogue that is no formula.
+    fn own_name(&self, key: &str, at: usize, name: &str) -> Result<(), FileError> {
+        if info(name).is_ok() && shipped_effects().iter().all(|h| h.name != name) {
+            return Err(self.key(
+                key,
+                at,
+                "is the name of an effect of the library, which is no formula: take another",
+            ));
+        }
+        Ok(())
     }
 
     /// The line of `value = ` inside the table at `offset`, when it is written as its own table.
@@ -368,11 +301,19 @@ fn effect_set(listed: &BTreeMap<String, Listed>) -> EffectSet {
                     let _ = place(&mut set, info, values);
                 }
             }
-            Listed::Mine(mine) if name == hypothesis::DESCRIBED => set.described = Some(mine.clone()),
-            Listed::Mine(mine) => set.mine = Some(mine.clone()),
+            Listed::Formula(formula) => set.put(formula.clone()),
         }
     }
     set
+}
+
+/// The hypotheses in a file of `[effects.NAME]` tables, a formula each; `file` is its name in messages.
+///
+/// # Errors
+/// Names the key and the line of the first thing that will not do.
+pub fn parse_hypotheses(file: &str, text: &str) -> Result<Vec<Hypothesis>, MotorError> {
+    let reader = Reader { file, text };
+    Ok(reader.hypotheses(&|key, at, name| reader.own_name(key, at, name))?)
 }
 
 impl Motor {
@@ -384,13 +325,12 @@ impl Motor {
         let reader = Reader { file, text };
         let root = reader.root()?;
         match root.get_ref().get("plant") {
-            Some(plant) => Err(reader.key(
-                "plant",
-                plant.span().start,
-                "makes this the file of an ordinary motor, which `twum compare`, `twum model speed` and `twum model sweep` take; what \
-                 drives the board's firmware takes a TWUM",
-            )),
-            None => reader.motor(&root),
+            Some(plant) => {
+                let problem = "makes this the file of an ordinary motor, which `twum compare`, `twum model speed` and `twum model sweep` \
+                               take; what drives the board's firmware takes a TWUM";
+                Err(reader.key("plant", plant.span().start, problem).into())
+            }
+            None => Ok(reader.motor(&root)?),
         }
     }
 

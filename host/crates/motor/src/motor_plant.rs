@@ -4,7 +4,7 @@ use super::averaged::Averaged;
 use super::blend::Blend;
 use super::carrier::Carrier;
 use super::effects::EffectSet;
-use super::hypothesis::{ActsOn, Mine, Now};
+use super::hypothesis::{ActsOn, Formula, Now};
 use super::modulation::Modulation;
 use super::parameters::{Flavour, Parameters};
 use super::plant::{Drive, Plant, Segment};
@@ -81,12 +81,12 @@ impl MotorPlant {
         effects: &EffectSet,
         history: History,
     ) -> Self {
-        let own: Vec<&Mine> = [&effects.mine, &effects.described]
-            .into_iter()
-            .flatten()
+        let formulas: Vec<&Formula> = effects
+            .formulas
+            .iter()
             .filter(|m| m.hypothesis.acts_on != ActsOn::Duty && m.hypothesis.is_there(&m.values))
             .collect();
-        let steady = own.iter().all(|m| m.hypothesis.is_steady());
+        let steady = formulas.iter().all(|m| m.hypothesis.is_steady());
         let moving = !steady
             || effects.resonance_heating.is_some()
             || effects.frequency_settling.is_some()
@@ -94,7 +94,7 @@ impl MotorPlant {
             || effects.gravity_load.is_some()
             || effects.supply_sag.is_some()
             || effects.run_in_wear.is_some();
-        let fixed = !own.is_empty()
+        let fixed = !formulas.is_empty()
             || effects.off_phase_braking.is_some()
             || effects.contact_stiffening.is_some()
             || effects.direction_asymmetry.is_some()
@@ -107,8 +107,12 @@ impl MotorPlant {
             effects.supply_sag.is_some() || effects.frequency_settling.is_some_and(|e| e.tau_s < SETTLES_SLOWLY_S);
         // Nor has the blend's grid an axis for a friction that varies.
         let rubs = effects.preload_runout.is_some_and(|e| e.on_friction != 0.0 || e.on_braking != 0.0);
-        let blends =
-            moving && own.is_empty() && !quick && !rubs && flavour == Flavour::Physical && effects.presliding.is_none();
+        let blends = moving
+            && formulas.is_empty()
+            && !quick
+            && !rubs
+            && flavour == Flavour::Physical
+            && effects.presliding.is_none();
         let left = effects.resonance_heating.map_or(1.0, |e| e.kept);
         let history = History { warmth: left * history.warmth, ..history };
         MotorPlant {
@@ -219,7 +223,7 @@ impl MotorPlant {
         if let Some(e) = e.run_in_wear {
             m.voltage *= (1.0 + e.gain * (self.history.revolutions / e.revolutions).ln_1p()).max(0.0);
         }
-        for mine in [&e.mine, &e.described].into_iter().flatten() {
+        for formula in &e.formulas {
             let now = Now {
                 duty: drive.duty,
                 time_s: time - self.began_s,
@@ -229,8 +233,8 @@ impl MotorPlant {
                 direction: sense,
                 revolutions: self.history.revolutions,
             };
-            let change = |what| mine.change_of(what, &now);
-            m.voltage *= (1.0 + mine.voltage_per_speed * change(ActsOn::Speed)).max(0.0);
+            let change = |what| formula.change_of(what, &now);
+            m.voltage *= (1.0 + formula.voltage_per_speed * change(ActsOn::Speed)).max(0.0);
             m.friction *= (1.0 + change(ActsOn::Torque)).clamp(LEAST_FACTOR, 1.0 / LEAST_FACTOR);
             m.off_friction *= (1.0 + change(ActsOn::Braking)).clamp(LEAST_FACTOR, 1.0 / LEAST_FACTOR);
         }

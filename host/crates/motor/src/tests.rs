@@ -3,7 +3,7 @@
 use super::averaged::Averaged;
 use super::carrier::Carrier;
 use super::contact::Contact;
-use super::effects::{CATALOGUE, EffectSet};
+use super::effects::{EffectSet, catalogue};
 use super::modulation::Modulation;
 use super::motor::{Motor, MotorError};
 use super::motor_plant::{History, Solver};
@@ -257,7 +257,7 @@ fn absent_effects_change_nothing() {
     let model = PlantModel::Motor { parameters: p, flavour: Flavour::Physical, solver: Solver::Averaged };
     let program = Program::constant(0.5, Direction::Cw, 0.2, 0.25);
     let plain = simulate(&program, &model, &EffectSet::default(), History::default());
-    for info in CATALOGUE {
+    for info in catalogue() {
         let mut effects = EffectSet::default();
         effects.set(info.name, &info.parameters.iter().map(|p| p.absent).collect::<Vec<_>>()).unwrap();
         let with = simulate(&program, &model, &effects, History::default());
@@ -274,7 +274,7 @@ fn present_effects_show() {
     let model = PlantModel::Motor { parameters: p, flavour: Flavour::Physical, solver: Solver::Averaged };
     let program = Program::constant(0.5, Direction::Cw, 0.5, 0.6);
     let plain = simulate(&program, &model, &EffectSet::default(), History::default());
-    for info in CATALOGUE {
+    for info in catalogue() {
         // Nothing reverses, nothing is controlled, and the 32nd part of a period is already the duty here. The rotor stops with
         // the wave, so what brakes or holds it afterwards has nothing left to do.
         let silent = ["reversal-miscount", "backlash", "duty-quantisation", "off-phase-braking", "presliding"];
@@ -371,8 +371,8 @@ proptest! {
     }
 
     #[test]
-    fn effects_inside_their_bounds_never_panic(which in 0..CATALOGUE.len(), at in proptest::collection::vec(0.0..=1.0, 12)) {
-        let info = &CATALOGUE[which];
+    fn effects_inside_their_bounds_never_panic(which in 0..catalogue().len(), at in proptest::collection::vec(0.0..=1.0, 12)) {
+        let info = &catalogue()[which];
         let values: Vec<f64> =
             info.parameters.iter().zip(at).map(|(p, t): (_, f64)| p.lower + t * (p.upper - p.lower)).collect();
         let mut effects = EffectSet::default();

@@ -147,9 +147,7 @@ impl Common {
         let motor = Motor::load(&self.motor)?;
         let mut effects = motor.effects();
         if let Some(file) = &self.effects {
-            for (effect, values) in Motor::effects_of_file(file)?.present() {
-                effects.set(effect.name, &values)?;
-            }
+            effects.join(&Motor::effects_of_file(file)?);
         }
         let setup = Setup {
             parameters: motor.parameters(flavour).assign(&self.set).context("--set")?,

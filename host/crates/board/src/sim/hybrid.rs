@@ -71,12 +71,7 @@ impl Setup {
     /// For an effect of the controller (the board runs the firmware's own), or of the record.
     pub fn hybrid(motor: &Motor, flavour: Flavour, hidden: &EffectSet) -> Result<Self, NotOnABoard> {
         let mut effects = motor.effects();
-        for (info, values) in hidden.present() {
-            // Values that are present were checked when they were set.
-            let _ = effects.set(info.name, &values);
-        }
-        effects.mine = hidden.mine.clone().or(effects.mine);
-        effects.described = hidden.described.clone().or(effects.described);
+        effects.join(hidden);
         for (info, _) in effects.present() {
             let name = info.name;
             let reason = match name {

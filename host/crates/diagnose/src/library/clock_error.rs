@@ -13,7 +13,7 @@ pub(super) fn effect(lines: &[f64]) -> Effect {
         form
     };
     Effect {
-        name: "clock-error",
+        name: "clock-error".into(),
         says: "the recorder's clock runs fast or slow: speeds and PWM periods are scaled alike".into(),
         equation: "t_recorded = (1 + ε + d·t/2)·t".into(),
         coordinate: Coordinate::Clock,

@@ -5,7 +5,7 @@ use crate::rotor::P;
 
 pub(super) fn gravity_load() -> Effect {
     Effect {
-        name: "gravity-load",
+        name: "gravity-load".into(),
         says: "a weight off the axis pulls with the sine of the angle".into(),
         equation: "load torque m·g·l·sin(θ + φ)".into(),
         coordinate: Coordinate::Angle,
@@ -19,7 +19,7 @@ pub(super) fn gravity_load() -> Effect {
 
 pub(super) fn backlash() -> Effect {
     Effect {
-        name: "backlash",
+        name: "backlash".into(),
         says: "motion is lost at each reversal before the encoder follows".into(),
         equation: "a gap g between motor and encoder".into(),
         coordinate: Coordinate::Reversal,
@@ -33,7 +33,7 @@ pub(super) fn backlash() -> Effect {
 
 pub(super) fn reversal_miscount() -> Effect {
     Effect {
-        name: "reversal-miscount",
+        name: "reversal-miscount".into(),
         says: "the counter gains or loses counts at each reversal".into(),
         equation: "count + n at each reversal, in the new sense or always in the same".into(),
         coordinate: Coordinate::Reversal,
@@ -53,7 +53,7 @@ pub(super) fn off_phase_braking() -> Effect {
     // Secants: half of the friction missing hardly shows, a hundredth left does all the more.
     let missing = |share: f64| one(P::OffLoss, share, share, (0.0, 0.9999));
     Effect {
-        name: "off-phase-braking",
+        name: "off-phase-braking".into(),
         says: "the rotor brakes with the wave gone as the motor file does not say".into(),
         equation: "Coulomb torque −Fc_off·sign(ω) while the drive is off".into(),
         coordinate: Coordinate::Pulse,

@@ -7,7 +7,7 @@ pub(super) fn effect() -> Effect {
     // Secants too: a wide band is far from what a narrow one suggests.
     let band = |step: f64| one(P::SlipExtra, 0.5, step, (0.0, 5.0));
     Effect {
-        name: "contact-stiffening",
+        name: "contact-stiffening".into(),
         says: "the contact takes up the speed difference softly: the rotor approaches the wave's speed slowly".into(),
         equation: "drive torque saturates within a slip band (s₀ + s)·ω_free instead of s₀·ω_free (contact force ∝ δⁿ)"
             .into(),

@@ -10,7 +10,7 @@ pub(super) fn effect() -> Effect {
     let gates = [0.06, 0.1, 0.17, 0.24, 0.33, 0.45]
         .map(|at| one(P::GateDuty, at, at, (0.0, 0.6)).shaped(P::GateWidth, 0.02, WIDTH, (0.003, 0.08)));
     Effect {
-        name: "dead-zone",
+        name: "dead-zone".into(),
         says: "part of every commanded duty is lost: below a threshold nothing moves".into(),
         equation: "u → max(u − u₀, 0), or u above a threshold and nothing below".into(),
         coordinate: Coordinate::Duty,

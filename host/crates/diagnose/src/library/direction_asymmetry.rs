@@ -14,7 +14,7 @@ pub(super) fn effect() -> Effect {
     };
     let forms = vec![speed.clone(), with(&friction), with(&brake), friction, brake];
     Effect {
-        name: "direction-asymmetry",
+        name: "direction-asymmetry".into(),
         says: "the motor is faster in one direction than in the other".into(),
         equation: "speed·(1 ± g), friction·(1 ± f), braking·(1 ± b)".into(),
         coordinate: Coordinate::Direction,

@@ -10,7 +10,7 @@ pub(super) fn effect() -> Effect {
     };
     let steps = || (3..=26).chain([28, 30, 31, 32, 40, 50, 64]).map(f64::from);
     Effect {
-        name: "duty-quantisation",
+        name: "duty-quantisation".into(),
         says: "the duty is rounded to a coarse grid".into(),
         equation: "u → round(N·u)/N, or floor(N·u)/N".into(),
         coordinate: Coordinate::Duty,

@@ -6,7 +6,7 @@ use crate::library::Phased;
 pub(super) fn effect() -> Effect {
     let up_to = |n: usize| phased((0..n).map(Phased::Eccentricity).collect());
     Effect {
-        name: "encoder-eccentricity",
+        name: "encoder-eccentricity".into(),
         says: "the encoder wheel is not centred: its angle errs once a turn, the same at every duty".into(),
         equation: "θ_measured = θ + Σ e_k·sin(kθ − φ_k)".into(),
         coordinate: Coordinate::Angle,

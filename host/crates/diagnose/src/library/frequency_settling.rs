@@ -14,7 +14,7 @@ pub(super) fn effect() -> Effect {
             .map(|on_time| excess().shaped(P::SettleTau, tau, TIME, (0.003, 0.4)).pinned(P::SettleOnTime, on_time))
     });
     Effect {
-        name: "frequency-settling",
+        name: "frequency-settling".into(),
         says: "the drive frequency needs time to find the resonance at each start, so the speed over- or undershoots"
             .into(),
         equation: "speed·(1 + δ·exp(−t/τ)), t from the start of the run, or the time driven since".into(),

@@ -8,7 +8,7 @@ const POWER: LogNormal = LogNormal { median: 3.0, log_sd: 0.6 };
 
 pub(super) fn effect() -> Effect {
     Effect {
-        name: "high-duty-saturation",
+        name: "high-duty-saturation".into(),
         says: "more duty gives less and less drive: the speed–duty line bends at the top".into(),
         equation: "u → u/(1 + u/us), u/(1 + b·u^p), speed·(1 − s·u^p), or min(u, 1 − f)".into(),
         coordinate: Coordinate::Duty,

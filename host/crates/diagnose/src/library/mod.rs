@@ -10,9 +10,9 @@ mod dead_zone;
 mod direction_asymmetry;
 mod duty_quantisation;
 mod encoder_eccentricity;
+mod formula;
 mod frequency_settling;
 mod high_duty_saturation;
-mod mine;
 mod preload_runout;
 mod resonance_heating;
 mod run_in_wear;
@@ -23,8 +23,10 @@ mod unequal_edges;
 
 use super::design::Column;
 use super::problem::Problem;
-use super::rotor::P;
+use super::rotor::{P, placed};
 use std::borrow::Cow;
+use std::sync::Arc;
+use twum_motor::formula_file::shipped_effects;
 use twum_motor::hypothesis::Hypothesis;
 use twum_record::measurement::RunKind;
 
@@ -192,7 +194,7 @@ impl Coordinate {
 #[derive(Debug, Clone)]
 pub struct Effect {
     /// Name, as in the list of effects.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// One sentence for the text answer.
     pub says: Cow<'static, str>,
     /// What the model gains.
@@ -231,21 +233,21 @@ const BEFORE_THE_PLANT: [(&str, &str, &str); 3] = [
 ];
 
 /// Names of all effects of a TWUM that can be found.
-pub fn known_effects() -> Vec<&'static str> {
-    let early = BEFORE_THE_PLANT.iter().map(|e| e.0);
-    early.chain(library(1.0, &[], None).iter().map(|e| e.name)).collect()
+pub fn known_effects() -> Vec<String> {
+    let early = BEFORE_THE_PLANT.iter().map(|e| e.0.to_owned());
+    early.chain(library(1.0, &[], shipped_effects()).into_iter().map(|e| e.name.into_owned())).collect()
 }
 
-/// The sentence and the equation of an effect of the library, or of the user's own.
-pub fn says(name: &str, mine: Option<&Hypothesis>) -> Option<(String, String)> {
+/// The sentence and the equation of an effect of the library, or of one of the `formulas`.
+pub fn says(name: &str, formulas: &[Arc<Hypothesis>]) -> Option<(String, String)> {
     let early = BEFORE_THE_PLANT.iter().find(|e| e.0 == name).map(|e| (e.1.to_owned(), e.2.to_owned()));
     let of = |e: Effect| (e.says.into_owned(), e.equation.into_owned());
-    early.or_else(|| library(1.0, &[], mine).into_iter().find(|e| e.name == name).map(of))
+    early.or_else(|| library(1.0, &[], formulas).into_iter().find(|e| e.name == name).map(of))
 }
 
 /// The whole library. The rotor's acceleration under drive in rad/s² sets the scale of the searches over friction; `clock_errors` are the
-/// relative errors at which the PWM's line stands out in the records; `mine` is an effect of the user's own.
-pub fn library(on_acceleration: f64, clock_errors: &[f64], mine: Option<&Hypothesis>) -> Vec<Effect> {
+/// relative errors at which the PWM's line stands out in the records; `formulas` are the effects that are formulas.
+pub fn library(on_acceleration: f64, clock_errors: &[f64], formulas: &[Arc<Hypothesis>]) -> Vec<Effect> {
     let known = vec![
         resonance_heating::effect(),
         frequency_settling::effect(),
@@ -267,7 +269,7 @@ pub fn library(on_acceleration: f64, clock_errors: &[f64], mine: Option<&Hypothe
         closed_loop::reversal_miscount(),
         closed_loop::off_phase_braking(),
     ];
-    known.into_iter().chain(mine.map(mine::effect)).collect()
+    known.into_iter().chain(placed(formulas).map(|(h, places)| formula::effect(h, places))).collect()
 }
 
 /// A form of one size and no shape.
@@ -326,8 +328,8 @@ impl Effect {
     /// Whether two effects are mistaken for each other.
     pub fn looks_like(&self, other: &Self) -> bool {
         self.coordinate == Coordinate::Angle && other.coordinate == Coordinate::Angle
-            || self.conflicts.contains(&other.name)
-            || other.conflicts.contains(&self.name)
+            || self.conflicts.contains(&other.name.as_ref())
+            || other.conflicts.contains(&self.name.as_ref())
     }
 
     /// Whether it acts in these runs, and they have too few duties to judge it by.

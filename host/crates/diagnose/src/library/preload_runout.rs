@@ -15,7 +15,7 @@ pub(super) fn effect() -> Effect {
     let on_torque = harmonics[..3].iter().map(|h| acting(turns(h), 0.0, 1.0, 0.0));
     let on_friction = harmonics[..3].iter().map(|h| acting(turns(h), 0.0, 1.0, 1.0));
     Effect {
-        name: "preload-runout",
+        name: "preload-runout".into(),
         says: "the drive changes with the rotor's angle: the preload is not the same all round".into(),
         equation: "drive·(1 + Σ a_k·cos(kθ − φ_k)), on the wave's speed, its torque or the friction".into(),
         coordinate: Coordinate::Angle,

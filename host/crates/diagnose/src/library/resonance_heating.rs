@@ -18,7 +18,7 @@ pub(super) fn effect() -> Effect {
         })
     });
     Effect {
-        name: "resonance-heating",
+        name: "resonance-heating".into(),
         says: "the motor slows as it warms up: its resonance drifts away from the drive frequency".into(),
         equation: "dT/dt = (u − T)/τ, speed·(1 − h·T)".into(),
         coordinate: Coordinate::Start,

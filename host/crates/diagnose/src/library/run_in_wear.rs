@@ -8,7 +8,7 @@ const REVOLUTIONS: LogNormal = LogNormal { median: 5.0, log_sd: 1.5 };
 
 pub(super) fn effect() -> Effect {
     Effect {
-        name: "run-in-wear",
+        name: "run-in-wear".into(),
         says: "the motor changes for good from run to run, with the distance it has turned".into(),
         equation: "speed·(1 + w·log(1 + revs/r₀))".into(),
         coordinate: Coordinate::Order,

@@ -8,7 +8,7 @@ const REST: LogNormal = LogNormal { median: 0.01, log_sd: 0.7 };
 
 pub(super) fn effect() -> Effect {
     Effect {
-        name: "start-delay",
+        name: "start-delay".into(),
         says: "the wave builds up late after each rise of the PWM".into(),
         equation: "drive starts t_d after each PWM rise, or t_d·(1 − exp(−rest/τ))".into(),
         coordinate: Coordinate::Pulse,

@@ -14,7 +14,7 @@ pub(super) fn effect(on_acceleration: f64) -> Effect {
             .shaped(P::StribeckSpeed, vs, SPEED, (0.02, 4.0))
     };
     Effect {
-        name: "stribeck-friction",
+        name: "stribeck-friction".into(),
         says: "the rotor sticks at low speed: friction is larger at rest".into(),
         equation: "friction + Fs·exp(−(ω/vs)²)".into(),
         coordinate: Coordinate::Pulse,

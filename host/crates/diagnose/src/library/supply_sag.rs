@@ -10,7 +10,7 @@ const POWER: LogNormal = LogNormal { median: 1.0, log_sd: 0.5 };
 
 pub(super) fn effect() -> Effect {
     Effect {
-        name: "supply-sag",
+        name: "supply-sag".into(),
         says: "the supply gives way under load: more drive power, less speed, at once".into(),
         equation:
             "speed·(1 − r·s), τ·ds/dt = drive − s  (V = V₀ − R·I, with the supply's capacitance), or speed·(1 − r·u^p)"

@@ -5,7 +5,7 @@ use crate::rotor::P;
 
 pub(super) fn effect() -> Effect {
     Effect {
-        name: "unequal-edges",
+        name: "unequal-edges".into(),
         says: "the encoder's high and low slots are not equally wide".into(),
         equation: "high slots (1 + δ) pitch, low slots (1 − δ) pitch".into(),
         coordinate: Coordinate::Slots,

@@ -13,7 +13,7 @@ mod schedule;
 mod simulate;
 mod wave;
 
-pub use parameters::{HARMONICS, P, Parameters, RunTerms};
+pub use parameters::{HARMONICS, P, Parameters, RunTerms, placed};
 pub use schedule::{Period, Schedule};
 pub use simulate::{RunInput, Trajectory, simulate};
 
@@ -78,7 +78,7 @@ mod tests {
             angles: &angles,
             warmth: 0.0,
             revolutions: 0.0,
-            mine: None,
+            formulas: &[],
         };
         simulate(&input, p, &RunTerms::default()).angle
     }
@@ -190,7 +190,7 @@ mod tests {
                     angles: &angles,
                     warmth: 0.0,
                     revolutions: 0.0,
-                    mine: None,
+                    formulas: &[],
                 };
                 let angles = |p: &Parameters| simulate(&input, p, &RunTerms::default()).angle;
                 for (a, b) in angles(&p).iter().zip(&angles(&p.with(P::Wear, 1e-12))) {

@@ -1,6 +1,7 @@
 //! Everything that an effect can change in the rotor equation.
 
-use twum_motor::hypothesis::MOST_NUMBERS;
+use std::sync::Arc;
+use twum_motor::hypothesis::{Hypothesis, MOST_NUMBERS};
 
 /// Number of scalar parameters, see [`P`].
 pub const PARAMETERS: usize = P::ALL.len();
@@ -108,19 +109,43 @@ pub enum P {
     RunoutTorque,
     /// `preload-runout`: how much of it acts on the braking without a wave.
     RunoutBrake,
-    /// The user's own effect: the first number of its formula.
-    Mine0,
-    /// The second.
-    Mine1,
-    /// The third.
-    Mine2,
-    /// The fourth.
-    Mine3,
+    /// The numbers of the effects that are formulas, one effect after the other.
+    Formula0,
+    /// Number 2 of these.
+    Formula1,
+    /// Number 3 of these.
+    Formula2,
+    /// Number 4 of these.
+    Formula3,
+    /// Number 5 of these.
+    Formula4,
+    /// Number 6 of these.
+    Formula5,
+    /// Number 7 of these.
+    Formula6,
+    /// Number 8 of these.
+    Formula7,
+    /// Number 9 of these.
+    Formula8,
+    /// Number 10 of these.
+    Formula9,
+    /// Number 11 of these.
+    Formula10,
+    /// Number 12 of these.
+    Formula11,
+    /// Number 13 of these.
+    Formula12,
+    /// Number 14 of these.
+    Formula13,
+    /// Number 15 of these.
+    Formula14,
+    /// Number 16 of these.
+    Formula15,
 }
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 53] = [
+    pub const ALL: [P; 65] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -170,10 +195,22 @@ impl P {
         P::RunoutSpeed,
         P::RunoutTorque,
         P::RunoutBrake,
-        P::Mine0,
-        P::Mine1,
-        P::Mine2,
-        P::Mine3,
+        P::Formula0,
+        P::Formula1,
+        P::Formula2,
+        P::Formula3,
+        P::Formula4,
+        P::Formula5,
+        P::Formula6,
+        P::Formula7,
+        P::Formula8,
+        P::Formula9,
+        P::Formula10,
+        P::Formula11,
+        P::Formula12,
+        P::Formula13,
+        P::Formula14,
+        P::Formula15,
     ];
 
     /// Those by which the actuator path changes a commanded duty, and nothing else: [`super::effective_duty`].
@@ -189,8 +226,34 @@ impl P {
         P::FlatTop,
     ];
 
-    /// The numbers of the user's own effect.
-    pub const MINE: [P; MOST_NUMBERS] = [P::Mine0, P::Mine1, P::Mine2, P::Mine3];
+    /// The numbers of the effects that are formulas: four of four numbers each, or more with fewer.
+    pub const FORMULA: &'static [P] = &[
+        P::Formula0,
+        P::Formula1,
+        P::Formula2,
+        P::Formula3,
+        P::Formula4,
+        P::Formula5,
+        P::Formula6,
+        P::Formula7,
+        P::Formula8,
+        P::Formula9,
+        P::Formula10,
+        P::Formula11,
+        P::Formula12,
+        P::Formula13,
+        P::Formula14,
+        P::Formula15,
+    ];
+}
+
+/// Effects that are formulas, each with the parameters that hold its numbers; there are enough for [`P::FORMULA`]'s length together.
+pub fn placed(formulas: &[Arc<Hypothesis>]) -> impl Iterator<Item = (&Arc<Hypothesis>, &'static [P])> {
+    let mut from = 0;
+    formulas.iter().map(move |hypothesis| {
+        let to = from + hypothesis.numbers.len();
+        (hypothesis, P::FORMULA.get(std::mem::replace(&mut from, to)..to).unwrap_or_default())
+    })
 }
 
 /// Values of all parameters.
@@ -231,9 +294,11 @@ impl Parameters {
         self.get(P::OffDeceleration) * (1.0 - self.get(P::OffLoss))
     }
 
-    /// Values of the numbers of the user's own effect.
-    pub fn mine(&self) -> [f64; MOST_NUMBERS] {
-        P::MINE.map(|p| self.get(p))
+    /// Values of a formula's numbers.
+    pub fn of_formula(&self, places: &[P]) -> [f64; MOST_NUMBERS] {
+        let mut values = [0.0; MOST_NUMBERS];
+        values.iter_mut().zip(places).for_each(|(value, place)| *value = self.get(*place));
+        values
     }
 
     /// Sets one parameter.

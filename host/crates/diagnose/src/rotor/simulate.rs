@@ -1,10 +1,11 @@
 //! A run, stepped from event to event.
 
 use super::motion::{Piece, Pull, off_piece, on_piece};
-use super::parameters::harmonics;
+use super::parameters::{harmonics, placed};
 use super::wave::Wave;
 use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay};
-use twum_motor::hypothesis::{ActsOn, Hypothesis, Now};
+use std::sync::Arc;
+use twum_motor::hypothesis::{ActsOn, Hypothesis, MOST_NUMBERS, Now};
 
 /// What a simulation of one run needs beside the parameters.
 #[derive(Debug, Clone)]
@@ -23,8 +24,8 @@ pub struct RunInput<'a> {
     pub warmth: f64,
     /// Revolutions made before this run.
     pub revolutions: f64,
-    /// An effect of the user's own; its numbers are among the parameters.
-    pub mine: Option<&'a Hypothesis>,
+    /// Effects that are formulas; their numbers are among the parameters.
+    pub formulas: &'a [Arc<Hypothesis>],
 }
 
 /// Longest steps in s: of anything, and of what hangs on the angle.
@@ -87,8 +88,8 @@ struct Simulation<'a> {
     has_angle: bool,
     /// What [`Self::over_angle`] said of the angle that was measured last, and which that was.
     over_measured: Option<(usize, f64, f64)>,
-    /// The user's own effect, where it acts.
-    mine: Option<&'a Hypothesis>,
+    /// Effects that are formulas and there, with their numbers.
+    formulas: Vec<(&'a Hypothesis, [f64; MOST_NUMBERS])>,
     /// Commanded duty of the period.
     duty: f64,
     /// Times that are asked for, in s of the drive; the next of them.
@@ -131,7 +132,10 @@ impl<'a> Simulation<'a> {
             p,
             terms,
             wave,
-            mine: input.mine.filter(|m| m.is_there(&p.mine())),
+            formulas: placed(input.formulas)
+                .map(|(h, places)| (h.as_ref(), p.of_formula(places)))
+                .filter(|(h, values)| h.is_there(values))
+                .collect(),
             duty: 0.0,
             over_measured: None,
             has_angle: terms.runout.iter().chain(&terms.gravity).any(|c| *c != 0.0),
@@ -161,7 +165,7 @@ impl<'a> Simulation<'a> {
         let settle = self.p.get(P::SettleExcess);
         let since = if self.p.get(P::SettleOnTime) > 0.5 { self.on_time } else { self.t };
         !self.has_angle
-            && self.mine.is_none_or(Hypothesis::is_steady)
+            && self.formulas.iter().all(|f| f.0.is_steady())
             && self.p.get(P::HeatLoss) == 0.0
             && self.p.get(P::Wear) == 0.0
             && self.input.schedule.directions.len() <= 1
@@ -286,7 +290,7 @@ impl<'a> Simulation<'a> {
         if p.get(P::SettleExcess) != 0.0 {
             longest = longest.min(0.3 * p.get(P::SettleTau)).max(1e-3);
         }
-        if self.has_angle || self.mine.is_some_and(|m| !m.is_steady()) {
+        if self.has_angle || self.formulas.iter().any(|f| !f.0.is_steady()) {
             longest = longest.min(LONGEST_OVER_ANGLE_S);
         }
         let viscous = p.get(P::Viscous);
@@ -326,11 +330,11 @@ impl<'a> Simulation<'a> {
             let step_s = end - self.t;
             match by {
                 By::Wave => {
-                    let mine = (1.0 + self.mine(ActsOn::Speed, sign)).max(0.0);
-                    let full = sign * self.wave.full * self.gain(sign, modulation, end) * mine;
+                    let kept = (1.0 + self.by_formulas(ActsOn::Speed, sign)).max(0.0);
+                    let full = sign * self.wave.full * self.gain(sign, modulation, end) * kept;
                     let torque = friction
                         * (1.0 + p.get(P::RunoutTorque) * modulation)
-                        * (1.0 + self.mine(ActsOn::Torque, sign));
+                        * (1.0 + self.by_formulas(ActsOn::Torque, sign));
                     let acceleration = self.wave.rate * torque.max(0.01);
                     let band = (band_fraction * full.abs()).max(SHORTEST_S * acceleration);
                     let [from, to] = self.wave.course(self.t, end).map(|height| full * height);
@@ -346,7 +350,7 @@ impl<'a> Simulation<'a> {
                     let brake = p.off_deceleration().max(0.0)
                         * friction
                         * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0)
-                        * (1.0 + self.mine(ActsOn::Braking, sign)).max(0.0);
+                        * (1.0 + self.by_formulas(ActsOn::Braking, sign)).max(0.0);
                     while self.t < end - 1e-12 && !self.done() {
                         self.follow(off_piece(self.speed, brake, external), end);
                     }
@@ -390,9 +394,11 @@ impl<'a> Simulation<'a> {
         self.input.angles.get(self.measured).copied().unwrap_or(self.angle)
     }
 
-    /// What the user's own effect changes now of what it acts on.
-    fn mine(&mut self, what: ActsOn, sign: f64) -> f64 {
-        let Some(mine) = self.mine.filter(|m| m.acts_on == what) else { return 0.0 };
+    /// What the effects that are formulas change now of what they act on.
+    fn by_formulas(&mut self, what: ActsOn, sign: f64) -> f64 {
+        if self.formulas.iter().all(|f| f.0.acts_on != what) {
+            return 0.0;
+        }
         let now = Now {
             duty: self.duty,
             time_s: self.t,
@@ -402,15 +408,25 @@ impl<'a> Simulation<'a> {
             direction: sign,
             revolutions: self.input.revolutions + self.angle.abs() / std::f64::consts::TAU,
         };
-        mine.change(&self.p.mine(), &now)
+        self.changes(what, &now).map(|change| 1.0 + change).product::<f64>() - 1.0
+    }
+
+    fn changes(&self, what: ActsOn, now: &Now) -> impl Iterator<Item = f64> {
+        self.formulas.iter().filter(move |f| f.0.acts_on == what).map(move |(h, values)| h.change(values, now))
     }
 
     /// The duty that is asked of the driver's own map in the period that begins now.
     fn commanded(&self, start: f64, duty: f64) -> f64 {
-        let Some(mine) = self.mine.filter(|m| m.acts_on == ActsOn::Duty && duty > 0.0) else { return duty };
+        if duty <= 0.0 || self.formulas.is_empty() {
+            return duty;
+        }
         let directions = &self.input.schedule.directions;
         let direction = directions.iter().rev().find(|d| d.0 <= start).map_or(1.0, |d| d.1);
-        (duty + mine.change(&self.p.mine(), &Now { duty, direction, ..Now::default() })).clamp(0.0, 1.0)
+        let mut u = duty;
+        for change in self.changes(ActsOn::Duty, &Now { duty, direction, ..Now::default() }) {
+            u = (u + change).clamp(0.0, 1.0);
+        }
+        u
     }
 
     /// Relative modulation by the angle, and the torque over inertia that hangs on it.

@@ -1,34 +1,62 @@
-//! An effect of the user's own in a file ([`crate::hypothesis`]): read with the key and the line of what will not do.
+//! Effects that are formulas ([`crate::hypothesis`]) in a file: read with the key and the line of what will not do; and those that come with
+//! the program.
 
-use super::{MotorError, Reader};
-use crate::hypothesis::{ActsOn, Hypothesis, Mine, NAME, Number, Role};
-use std::sync::Arc;
+use super::hypothesis::{ActsOn, DIMENSIONLESS, Formula, Hypothesis, Number, Role};
+use super::reader::{FileError, Reader};
+use std::sync::{Arc, LazyLock};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The hypothesis in a file of one `[effects.mine]`; `file` is its name in messages.
-///
-/// # Errors
-/// Names the key and the line of the first thing that will not do.
-pub fn parse_hypothesis(file: &str, text: &str) -> Result<Hypothesis, MotorError> {
-    let reader = Reader { file, text };
-    let root = reader.root()?;
-    reader.known("", root.get_ref(), &["effects"])?;
-    let effects = root.get_ref().get("effects").and_then(|e| e.get_ref().as_table());
-    let Some(effects) = effects else {
-        return Err(reader.key("effects", 0, "is missing: [effects.mine] is what is asked for"));
-    };
-    reader.known("effects.", effects, &[NAME])?;
-    match effects.get(NAME) {
-        Some(value) => Ok(reader.hypothesis("effects.mine", value)?.0),
-        None => Err(reader.key("effects.mine", 0, "is missing")),
-    }
+/// The files of the effects that come with the program and are formulas, a line each.
+const SHIPPED: &[&str] = &[
+    #[cfg(test)]
+    include_str!("../effects/example.toml"),
+];
+
+/// The effects that come with the program and are formulas.
+pub fn shipped_effects() -> &'static [Arc<Hypothesis>] {
+    static READ: LazyLock<Vec<Arc<Hypothesis>>> = LazyLock::new(|| {
+        let read = |text: &&str| Reader { file: "of an effect", text }.hypotheses(&|_, _, _| Ok(()));
+        let all =
+            SHIPPED.iter().map(read).collect::<Result<Vec<_>, _>>().expect("the shipped files are checked by a test");
+        all.into_iter().flatten().map(Arc::new).collect()
+    });
+    &READ
+}
+
+/// Whether the table of an effect holds a formula.
+pub(crate) fn is_formula(value: &Spanned<DeValue<'_>>) -> bool {
+    value.get_ref().as_table().is_some_and(|table| table.contains_key("change"))
 }
 
 impl Reader<'_> {
-    /// A formula under `key` with the values of its numbers, which a motor's file has to give.
-    pub(super) fn mine(&self, key: &str, value: &Spanned<DeValue<'_>>) -> Result<Mine, MotorError> {
-        let (hypothesis, values, voltage_per_speed) = self.hypothesis(key, value)?;
+    /// The hypotheses of a file of nothing but them; `admissible` says whether the name of one, its key and where it stands, will do.
+    pub(crate) fn hypotheses(
+        &self,
+        admissible: &dyn Fn(&str, usize, &str) -> Result<(), FileError>,
+    ) -> Result<Vec<Hypothesis>, FileError> {
+        let root = self.root()?;
+        self.known("", root.get_ref(), &["effects"])?;
+        let effects = root.get_ref().get("effects").and_then(|e| e.get_ref().as_table());
+        let mut hypotheses = Vec::new();
+        for (name, value) in effects.into_iter().flatten() {
+            let key = format!("effects.{}", name.get_ref());
+            admissible(&key, name.span().start, name.get_ref())?;
+            hypotheses.push(self.hypothesis(&key, name.get_ref(), value)?.0);
+        }
+        if hypotheses.is_empty() {
+            return Err(self.key(
+                "effects",
+                0,
+                "is missing: [effects.mine], or another name, with a formula is what is asked for",
+            ));
+        }
+        Ok(hypotheses)
+    }
+
+    /// The formula of the effect `name` under `key` with the values of its numbers, which a motor's file has to give.
+    pub(crate) fn formula(&self, key: &str, name: &str, value: &Spanned<DeValue<'_>>) -> Result<Formula, FileError> {
+        let (hypothesis, values, voltage_per_speed) = self.hypothesis(key, name, value)?;
         let numbers = hypothesis.numbers.iter().zip(values);
         let values = numbers.map(|(n, v)| {
             v.ok_or_else(|| {
@@ -38,15 +66,16 @@ impl Reader<'_> {
             })
         });
         let values = values.collect::<Result<Vec<_>, _>>()?;
-        Ok(Mine { hypothesis: Arc::new(hypothesis), values, voltage_per_speed })
+        Ok(Formula { hypothesis: Arc::new(hypothesis), values, voltage_per_speed })
     }
 
     /// The hypothesis, the values of its numbers where they are given, and the voltage for a change of the speed.
     fn hypothesis(
         &self,
         key: &str,
+        name: &str,
         value: &Spanned<DeValue<'_>>,
-    ) -> Result<(Hypothesis, Vec<Option<f64>>, f64), MotorError> {
+    ) -> Result<(Hypothesis, Vec<Option<f64>>, f64), FileError> {
         let at = value.span().start;
         let Some(table) = value.get_ref().as_table() else { return Err(self.key(key, at, "must be a table")) };
         self.known(&format!("{key}."), table, &["says", "acts_on", "change", "voltage_per_speed", "numbers"])?;
@@ -70,7 +99,8 @@ impl Reader<'_> {
         read.sort_by_key(|(n, _)| !n.is_size());
         let (numbers, values) = read.into_iter().unzip();
         let voltage = table.get("voltage_per_speed").map(|v| self.number(&format!("{key}.voltage_per_speed"), v));
-        let hypothesis = Hypothesis::new(&text("says")?.unwrap_or_default(), *acts_on, &need("change")?, numbers)
+        let says = text("says")?.unwrap_or_default();
+        let hypothesis = Hypothesis::new(name, &says, *acts_on, &need("change")?, numbers)
             .map_err(|problem| self.key(key, at, problem))?;
         Ok((hypothesis, values, voltage.transpose()?.unwrap_or(1.0)))
     }
@@ -80,13 +110,13 @@ impl Reader<'_> {
         key: &str,
         name: &str,
         row: &Spanned<DeValue<'_>>,
-    ) -> Result<(Number, Option<f64>), MotorError> {
+    ) -> Result<(Number, Option<f64>), FileError> {
         let key = format!("{key}.numbers.{name}");
         let at = row.span().start;
         let Some(table): Option<&DeTable<'_>> = row.get_ref().as_table() else {
             return Err(self.key(key, at, "must be a table with min, max, and typical or start"));
         };
-        self.known(&format!("{key}."), table, &["typical", "start", "min", "max", "value"])?;
+        self.known(&format!("{key}."), table, &["typical", "start", "min", "max", "value", "unit"])?;
         let optional = |of: &str| table.get(of).map(|v| self.number(&format!("{key}.{of}"), v)).transpose();
         let need = |of: &str| optional(of)?.ok_or_else(|| self.key(format!("{key}.{of}"), at, "is missing"));
         let role = match (optional("typical")?, optional("start")?) {
@@ -104,15 +134,17 @@ impl Reader<'_> {
         if value.is_some_and(|v| !(min..=max).contains(&v)) {
             return Err(self.key(format!("{key}.value"), at, "is outside its bounds"));
         }
-        Ok((Number { name: name.to_owned(), role, min, max }, value))
+        let unit = table.get("unit").map(|v| self.string(&format!("{key}.unit"), v)).transpose()?;
+        let unit = unit.unwrap_or_else(|| DIMENSIONLESS.to_owned());
+        Ok((Number { name: name.to_owned(), unit, role, min, max }, value))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::Motor;
     use super::*;
     use crate::effects::EffectSet;
+    use crate::motor::{Motor, parse_hypotheses};
     use crate::motor_plant::{History, Solver};
     use crate::parameters::Flavour;
     use crate::plant::Direction;
@@ -121,11 +153,11 @@ mod tests {
     #[test]
     fn a_file_says_where_it_is_wrong() {
         let text = "[effects.mine]\nacts_on = \"speed\"\nchange = \"a\"\n[effects.mine.numbers]\na = { typical = 0.1, min = 0.2, max = 0.5 }\n";
-        let said = parse_hypothesis("mine.toml", text).unwrap_err().to_string();
+        let said = parse_hypotheses("mine.toml", text).unwrap_err().to_string();
         assert!(said.starts_with("motor file mine.toml, line 1: `effects.mine`") && said.contains("bounds"), "{said}");
         let text = text.replace("\"speed\"", "\"weather\"");
-        assert!(parse_hypothesis("mine.toml", &text).unwrap_err().to_string().contains("speed, torque, braking, duty"));
-        assert!(parse_hypothesis("mine.toml", "").is_err());
+        assert!(parse_hypotheses("mine.toml", &text).unwrap_err().to_string().contains("speed, torque, braking, duty"));
+        assert!(parse_hypotheses("mine.toml", "").is_err());
     }
 
     /// Fails if a motor that is written with an effect of one's own is not the one that is read, or does not do what the formula says.
@@ -164,7 +196,11 @@ mod tests {
         let turned = |effects: &EffectSet| {
             simulate(&Program::constant(0.8, Direction::Cw, 0.5, 0.5), &model, effects, History::default()).end_rad
         };
-        let [mine, described] = [EffectSet { described: None, ..all.clone() }, EffectSet { mine: None, ..all.clone() }];
+        let [mine, described] = ["described", "mine"].map(|name| {
+            let mut without = all.clone();
+            without.remove(name);
+            without
+        });
         let [none, mine, described, both] = [&EffectSet::default(), &mine, &described, &all].map(turned);
         assert!(mine < 0.8 * none && described < 0.9 * none, "{none} {mine} {described}");
         assert!(both < 0.9 * mine && both < 0.9 * described, "{mine} {described} {both}");
@@ -177,11 +213,11 @@ mod tests {
     fn a_change_of_the_speed_slows_the_motor_where_the_formula_says() {
         let flavour = Flavour::Physical;
         let parameters = Motor::pcbmotor_30mm().parameters(flavour);
-        let size = Number { name: "a".to_owned(), role: Role::Typical(0.1), min: -0.5, max: 0.5 };
+        let size = Number { name: "a".to_owned(), unit: "1".to_owned(), role: Role::Typical(0.1), min: -0.5, max: 0.5 };
         let change = "-a*exp(-((duty - 0.5)/0.05)^2)";
-        let hypothesis = Arc::new(Hypothesis::new("", ActsOn::Speed, change, vec![size]).unwrap());
-        let mine = Mine { hypothesis, values: vec![0.3], voltage_per_speed: 1.0 };
-        let hidden = EffectSet { mine: Some(mine), ..EffectSet::default() };
+        let hypothesis = Arc::new(Hypothesis::new("mine", "", ActsOn::Speed, change, vec![size]).unwrap());
+        let mut hidden = EffectSet::default();
+        hidden.put(Formula { hypothesis, values: vec![0.3], voltage_per_speed: 1.0 });
         let model = PlantModel::Motor { parameters, flavour, solver: Solver::Averaged };
         let turned = |duty, effects: &EffectSet| {
             simulate(&Program::constant(duty, Direction::Cw, 0.5, 0.5), &model, effects, History::default()).end_rad
