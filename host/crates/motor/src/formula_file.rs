@@ -143,6 +143,7 @@ impl Reader<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::actuator::Command;
     use crate::effects::EffectSet;
     use crate::motor::{Motor, parse_hypotheses};
     use crate::motor_plant::{History, Solver};
@@ -224,5 +225,23 @@ mod tests {
         };
         let ratio = |duty| turned(duty, &hidden) / turned(duty, &EffectSet::default());
         assert!((ratio(0.8) - 1.0).abs() < 1e-6 && ratio(0.5) < 0.8, "{} {}", ratio(0.8), ratio(0.5));
+    }
+    /// Fails if a motor that stays on between runs counts the angle from elsewhere than where the drive began.
+    #[test]
+    fn the_angle_of_a_formula_begins_with_the_drive() {
+        let flavour = Flavour::Physical;
+        let parameters = Motor::pcbmotor_30mm().parameters(flavour);
+        let size = Number { name: "a".to_owned(), unit: "1".to_owned(), role: Role::Typical(0.1), min: 0.0, max: 0.5 };
+        let hypothesis = Hypothesis::new("mine", "", ActsOn::Speed, "-a*exp(-abs(turned_rad))", vec![size]).unwrap();
+        let mut effects = EffectSet::default();
+        effects.put(Formula { hypothesis: Arc::new(hypothesis), values: vec![0.5], voltage_per_speed: 1.0 });
+        let model = PlantModel::Motor { parameters, flavour, solver: Solver::Averaged };
+        let once = Program::constant(1.0, Direction::Cw, 0.3, 2.0);
+        let again = once.commands.iter().map(|c| Command { time_s: c.time_s + 2.0, ..*c });
+        let twice =
+            Program { commands: once.commands.iter().copied().chain(again).collect(), end_s: 4.0, ..once.clone() };
+        let turned = |program| simulate(program, &model, &effects, History::default()).end_rad;
+        let (first, both) = (turned(&once), turned(&twice));
+        assert!((both / first - 2.0).abs() < 0.01, "{first} rad, and with a second run {both}");
     }
 }

@@ -58,6 +58,8 @@ pub struct MotorPlant {
     /// When the drive began, and when it was last on (s).
     began_s: f64,
     last_on_s: f64,
+    /// Where the drive began (rad): a run's record begins with its drive.
+    began_rad: f64,
     /// Time driven since the drive began (s).
     driven_s: f64,
     /// Longest step (s): infinite where no effect needs one.
@@ -127,6 +129,7 @@ impl MotorPlant {
             history,
             current: 0.0,
             began_s: 0.0,
+            began_rad: 0.0,
             last_on_s: f64::NEG_INFINITY,
             driven_s: 0.0,
             longest_s: if moving { LONGEST_S } else { f64::INFINITY },
@@ -228,7 +231,7 @@ impl MotorPlant {
                 duty: drive.duty,
                 time_s: time - self.began_s,
                 on_s: self.driven_s,
-                turned_rad: angle,
+                turned_rad: angle - self.began_rad,
                 speed_rad_s: self.speed_rad_s(),
                 direction: sense,
                 revolutions: self.history.revolutions,
@@ -307,6 +310,7 @@ impl Plant for MotorPlant {
         // The driver starts with the PWM, whose period may begin with its off part.
         if (drive.level > 0.0 || drive.duty > 0.0) && self.time_s() - self.last_on_s > RESTART_S {
             self.began_s = self.time_s();
+            self.began_rad = self.position_rad();
             self.driven_s = 0.0;
         }
         let now_s = self.time_s();
