@@ -10,7 +10,8 @@
 //! (2019) 1113; the power of a run's own coefficients by expectation–maximisation (Dempster, Laird & Rubin 1977).
 
 use super::design::RunDesign;
-use super::level::{FORM_ERROR, Level, Taus};
+use super::form_error::FORM_ERROR;
+use super::level::{Level, Taus};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 

@@ -4,6 +4,7 @@ use super::baseline::baseline_free;
 use super::design::Column;
 use super::discrepancy::{Term, terms};
 use super::evidence::{Question, independent};
+use super::form_error::FormError;
 use super::level::Level;
 use super::library::{Effect, Phased};
 use super::problem::{Model, Problem};
@@ -27,8 +28,8 @@ pub struct Ground<'a> {
     pub independent: f64,
     /// Terms without physics.
     pub terms: Vec<Term>,
-    /// Largest squared error that counts as one of the forms, in rpm²·s: no form is further off than all that is left.
-    pub form_error: f64,
+    /// The squared error that counts as one of the forms, in rpm²·s.
+    pub form_error: FormError,
 }
 
 impl<'a> Ground<'a> {
@@ -44,7 +45,7 @@ impl<'a> Ground<'a> {
             effects,
             usable,
             independent,
-            form_error: f64::INFINITY,
+            form_error: FormError::UNBOUNDED,
         }
     }
 

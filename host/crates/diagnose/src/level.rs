@@ -1,6 +1,7 @@
 //! What the gains of whole runs scatter by: by chance, with the duty, the direction, both, and the order of the runs.
 
 use super::discrepancy::TERM_COST;
+use super::form_error::FORM_ERROR;
 use super::problem::Problem;
 use nalgebra::DMatrix;
 
@@ -12,9 +13,6 @@ pub const DUTY: usize = 1;
 
 /// Names of the spreads beyond chance.
 pub const NAMES: [&str; 5] = ["run to run", "duty", "direction", "duty and direction", "order"];
-
-/// Share of the squared error without effects below which no form is trusted: effects do not have the library's forms exactly.
-pub const FORM_ERROR: f64 = 0.06;
 
 /// What is believed of the spreads before the data: medians and log deviations. Repeated runs of such motors differ by about a per
 /// cent; what a wrong equation does to the speed over duty, direction and order is believed to be some thousandths, over the direction the

@@ -35,6 +35,7 @@ pub mod design;
 pub mod discrepancy;
 pub mod evidence;
 pub mod finding;
+pub mod form_error;
 pub mod formula;
 pub mod gaps;
 pub mod ground;

@@ -53,7 +53,7 @@ pub fn diagnose_runs(
         _ => (original.clone(), unrepaired.clone()),
     };
     let searched = |compared: &Problem, baseline: Model, moved: &Option<Shifted>| {
-        let clock = if let Some(Shifted::Clock(model)) = moved { Some(model) } else { None };
+        let clock = if let Some(Shifted::Clock(model)) = moved { Some(model.as_ref()) } else { None };
         Ground::new(compared, home.clone(), &effects, usable.clone()).search(baseline, clock, progress)
     };
     let (mut compared, baseline) = compare(&moved);
@@ -89,21 +89,22 @@ pub fn diagnose_runs(
 /// What moves the record against the drive.
 enum Shifted {
     /// Words of samples are lost.
-    Lost(Gaps),
+    Lost(Box<Gaps>),
     /// The clock is wrong, in a motor that is refitted beside it.
-    Clock(Model),
+    Clock(Box<Model>),
 }
 
 /// Lost words of samples beside a model, or a wrong clock that does as well.
 fn shifted(problem: &Problem, model: &Model, home: &Parameters, settings: &Settings) -> Option<Shifted> {
     let gaps = lost(problem, model, settings)?;
-    Some(clock_instead(problem, model, home, &gaps).map_or(Shifted::Lost(gaps), Shifted::Clock))
+    let clock = clock_instead(problem, model, home, &gaps).map(Box::new);
+    Some(clock.map_or(Shifted::Lost(gaps), Shifted::Clock))
 }
 
 /// Lost words of samples beside a model.
-fn lost(problem: &Problem, model: &Model, settings: &Settings) -> Option<Gaps> {
+fn lost(problem: &Problem, model: &Model, settings: &Settings) -> Option<Box<Gaps>> {
     let asked = !settings.without.iter().any(|w| w == "dropped-samples");
-    asked.then(|| gaps::find(problem, model, settings.seed)).flatten()
+    asked.then(|| gaps::find(problem, model, settings.seed)).flatten().map(Box::new)
 }
 
 /// Steps in which a clock is fitted together with the motor: it begins within a line's width of where it ends.

@@ -6,8 +6,8 @@
 use super::baseline::{as_listed, at_speed, valleys};
 use super::candidate::free_of;
 use super::discrepancy::FREE_FORM_COST;
+use super::form_error::FormError;
 use super::ground::Ground;
-use super::level::FORM_ERROR;
 use super::library::{Coordinate, Form};
 use super::problem::Model;
 use super::refit::{Noise, coefficients, put_coefficients};
@@ -109,10 +109,10 @@ impl Ground<'_> {
     /// Weighs all sets anew where the best leaves less than was counted as error of the forms; whether it did.
     fn bound_form(&mut self, pool: &mut Vec<Set>) -> bool {
         let left = best(pool).weighed.left;
-        if left > LEAST_SHRUNK * self.form_error.min(FORM_ERROR * pool[0].weighed.left) {
+        if left > LEAST_SHRUNK * self.form_error.of(pool[0].weighed.left) {
             return false;
         }
-        self.form_error = left;
+        self.form_error = FormError::no_more_than(left);
         for set in pool.split_off(1) {
             let expanded = set.expanded;
             let set = self.weigh_set(set.parts, set.model, Some(&pool[0]));

@@ -5,7 +5,7 @@ use super::design::{Basis, Column};
 use super::discrepancy::{FREE_FORM_COST, SIZE, TERM_COST, Term};
 use super::evidence::{Equations, Question, Spreads, Start, Weighed, weigh};
 use super::ground::Ground;
-use super::level::{FORM_ERROR, Level};
+use super::level::Level;
 use super::library::Phased;
 use super::observe::Observed;
 use super::problem::Model;
@@ -51,7 +51,7 @@ impl Ground<'_> {
         let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
         let designs = self.problem.design(&model, &columns);
         let equations = Equations::new(&designs, own_columns, &coefficients(&model, &phased));
-        let without = root.map_or(0.0, |r| r.weighed.left.min(self.form_error / FORM_ERROR));
+        let without = root.map_or(0.0, |r| self.form_error.base(r.weighed.left));
         let start = Start {
             variance: root
                 .map_or_else(|| first_noise(self.problem, &model, self.independent).variance, |r| r.weighed.variance),

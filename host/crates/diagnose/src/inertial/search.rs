@@ -1,5 +1,6 @@
 //! The search over sets of effects of an ordinary motor: the engine's order, costs and bounds, with this plant's refits.
 
+use super::super::form_error::FormError;
 use super::super::search::{MOST_EFFECTS, MOST_EXPANDED, TRIED, WINDOW};
 use super::super::verdict::ALIKE;
 use super::effects::{EFFECTS, Form, is_time, twin};
@@ -84,7 +85,7 @@ impl Ground<'_> {
         let best = best_of(pool);
         let fewer = memory(self.data, &best.plant);
         self.independent = (self.data.rows() as f64 / fewer).clamp(LEAST_INDEPENDENT, self.independent);
-        self.form_error = best.weighed.left;
+        self.form_error = FormError::no_more_than(best.weighed.left);
         let old = std::mem::take(pool);
         let root = old.iter().find(|s| s.parts.is_empty()).map(|s| self.weigh_set(Vec::new(), s.plant.clone(), None));
         let others = old.into_par_iter().filter(|s| !s.parts.is_empty());

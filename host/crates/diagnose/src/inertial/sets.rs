@@ -1,7 +1,8 @@
 //! Sets of effects of an ordinary motor: what is free in them, their refit, and what they weigh.
 
 use super::super::evidence::{Weighed, independent};
-use super::super::level::{FORM_ERROR, Level};
+use super::super::form_error::FormError;
+use super::super::level::Level;
 use super::super::verdict::{Course, Visited};
 use super::super::weighing::{EFFECT_COST, SAME_COORDINATE};
 use super::angle::Ripple;
@@ -108,8 +109,8 @@ pub struct Ground<'a> {
     terms: Terms,
     /// How many independent residuals the runs count as.
     pub independent: f64,
-    /// Largest squared error that counts as one of the forms, in rpm²: no form is further off than all of what is left.
-    pub form_error: f64,
+    /// The squared error that counts as one of the forms, in rpm².
+    pub form_error: FormError,
 }
 
 impl<'a> Ground<'a> {
@@ -122,7 +123,7 @@ impl<'a> Ground<'a> {
             level: Level::by_chance(data.runs.len(), GAIN_SPREAD),
             terms: Terms::new(data),
             independent,
-            form_error: f64::INFINITY,
+            form_error: FormError::UNBOUNDED,
         }
     }
 
@@ -291,7 +292,7 @@ impl<'a> Ground<'a> {
 
     pub fn weigh_set(&self, parts: Vec<Part>, plant: Plant, root: Option<&Set>) -> Set {
         let free = self.free(&parts);
-        let without = root.map(|r| r.weighed.left.min(self.form_error / FORM_ERROR));
+        let without = root.map(|r| self.form_error.base(r.weighed.left));
         let Evidence { weighed, log, terms, courses } =
             weigh_plant(self.data, &self.terms, &self.level, self.independent, &plant, &free, without);
         let prior = log_prior(&plant.values, &free[1..]);
