@@ -161,6 +161,26 @@ mod tests {
         assert!(parse_hypotheses("mine.toml", "").is_err());
     }
 
+    /// Fails if the names of several effects, or which of them were taken already, are lost.
+    #[test]
+    fn a_file_has_effects_under_their_own_names() {
+        let of = |name: &str| {
+            format!(
+                "[effects.{name}]\nacts_on = \"speed\"\nchange = \"a\"\n[effects.{name}.numbers]\n\
+                 a = {{ typical = 0.1, min = -0.5, max = 0.5, unit = \"m\" }}\n"
+            )
+        };
+        let read = parse_hypotheses("two.toml", &(of("one") + &of("the-other"))).unwrap();
+        assert_eq!(read.iter().map(|h| h.name.as_str()).collect::<Vec<_>>(), ["one", "the-other"]);
+        assert_eq!(read[0].numbers[0].unit, "m");
+        let refused = |name: &str| parse_hypotheses("one.toml", &of(name)).unwrap_err().to_string();
+        assert!(refused("dead-zone").contains("`effects.dead-zone` is the name of an effect of the library"));
+        assert!(refused("described").contains("without a cause"));
+        assert!(refused("Mine").contains("small letters"));
+        let motor = Motor::pcbmotor_30mm().to_toml().unwrap() + &of("dead-zone");
+        assert!(Motor::parse("a.toml", &motor).unwrap_err().to_string().contains("no formula"));
+    }
+
     /// Fails if a motor that is written with an effect of one's own is not the one that is read, or does not do what the formula says.
     #[test]
     fn a_motor_with_ones_own_effect_is_written_read_and_turns() {

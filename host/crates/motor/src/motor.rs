@@ -26,7 +26,7 @@
 
 use super::effects::{EffectError, EffectInfo, EffectSet, info};
 use super::formula_file::{is_formula, shipped_effects};
-use super::hypothesis::{Formula, Hypothesis};
+use super::hypothesis::{DESCRIBED, Formula, Hypothesis};
 use super::parameters::{Flavour, ParameterError, Parameters, SPECS};
 use super::reader::{FileError, Reader, Table};
 use serde::Serialize;
@@ -313,7 +313,13 @@ fn effect_set(listed: &BTreeMap<String, Listed>) -> EffectSet {
 /// Names the key and the line of the first thing that will not do.
 pub fn parse_hypotheses(file: &str, text: &str) -> Result<Vec<Hypothesis>, MotorError> {
     let reader = Reader { file, text };
-    Ok(reader.hypotheses(&|key, at, name| reader.own_name(key, at, name))?)
+    let admissible = |key: &str, at: usize, name: &str| match name {
+        DESCRIBED => {
+            Err(reader.key(key, at, "is the name of what a diagnosis describes without a cause: take another"))
+        }
+        _ => reader.own_name(key, at, name),
+    };
+    Ok(reader.hypotheses(&admissible)?)
 }
 
 impl Motor {
