@@ -336,6 +336,21 @@ fn lost_words_are_found() {
     assert_eq!(d.named(), ["dropped-samples"], "{:?}", d.verdict);
 }
 
+/// A clock that is wrong, and lost words. Fails if samples are no longer looked for beside a clock that was found wrong.
+#[test]
+fn lost_words_are_found_beside_a_wrong_clock() {
+    both_are_found(12_065, ["clock-error", "dropped-samples"]);
+}
+
+/// Few words, which remove less than a twentieth of the error beside a grid of duties. Fails if a gain has to be larger than that though no
+/// choice among the runs loses by it.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_few_lost_words_are_found_beside_another_effect() {
+    let d = of_a_case("d", Kind::Pair, 12_077);
+    assert!(d.suspected().contains(&"dropped-samples"), "{:?}", d.suspected());
+}
+
 /// Fails if a choice is made that the seed does not decide, or that hangs on how many threads share the work.
 #[test]
 fn equal_seeds_give_equal_answers() {
