@@ -342,8 +342,8 @@ fn lost_words_are_found_beside_a_wrong_clock() {
     both_are_found(12_065, ["clock-error", "dropped-samples"]);
 }
 
-/// Few words, which remove less than a twentieth of the error beside a grid of duties. Fails if a gain has to be larger than that though no
-/// choice among the runs loses by it.
+/// Few words, which remove less than a twentieth of the error beside a grid of duties. Fails if a gain has to be larger than that though every
+/// choice among the runs gains by it.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_few_lost_words_are_found_beside_another_effect() {

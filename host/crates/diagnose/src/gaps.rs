@@ -77,8 +77,8 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
     let gain = held.gain();
     let p_null = (windows as f64 * (-0.5 * best_improvement).exp()).clamp(1e-6, 1.0);
     let gain_interval = held.gain_interval(seed);
-    // Beside another cause's error a small gain is as much as there can be: no choice among the runs may then lose by it.
-    if (gain < LEAST_GAIN && gain_interval[0] < 0.0) || p_null > LARGEST_P {
+    // Beside another cause's error a small gain is as much as there can be: every choice among the runs then has to gain by it.
+    if (gain < LEAST_GAIN && gain_interval[0] <= 0.0) || p_null > LARGEST_P {
         return None;
     }
     let finding = Finding {
