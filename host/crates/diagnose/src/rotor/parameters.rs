@@ -226,25 +226,8 @@ impl P {
         P::FlatTop,
     ];
 
-    /// The numbers of the effects that are formulas: four of four numbers each, or more with fewer.
-    pub const FORMULA: &'static [P] = &[
-        P::Formula0,
-        P::Formula1,
-        P::Formula2,
-        P::Formula3,
-        P::Formula4,
-        P::Formula5,
-        P::Formula6,
-        P::Formula7,
-        P::Formula8,
-        P::Formula9,
-        P::Formula10,
-        P::Formula11,
-        P::Formula12,
-        P::Formula13,
-        P::Formula14,
-        P::Formula15,
-    ];
+    /// The numbers of the effects that are formulas, the last of all: four of four numbers each, or more with fewer.
+    pub const FORMULA: &'static [P] = Self::ALL.split_at(P::Formula0 as usize).1;
 }
 
 /// Effects that are formulas, each with the parameters that hold its numbers; there are enough for [`P::FORMULA`]'s length together.
