@@ -3,8 +3,9 @@
 use super::library::LogNormal;
 use super::prior::Prior;
 use super::problem::{Model, Problem};
-use super::refit::{Free, Noise, objective, refit};
+use super::refit::{Free, objective, refit};
 use super::rotor::{P, Parameters};
+use twum_fit::noise::Noise;
 
 /// The motor file is right: friction is measured to a third, and varies so much from day to day.
 pub const SAME_MOTOR_LOG_SD: f64 = 0.3;
@@ -99,7 +100,7 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
 
 /// Noise of a first look: nothing is known yet but the size of the residuals.
 pub fn first_noise(problem: &Problem, model: &Model, independent: f64) -> Noise {
-    let square = objective(problem, model, Noise { variance: 1.0, gain_spread: 0.0 });
+    let square = objective(problem, model, Noise::PLAIN);
     Noise { variance: (square / independent).max(1e-9), gain_spread: GAIN_SPREAD }
 }
 

@@ -7,10 +7,11 @@ use super::ground::Ground;
 use super::library::{Form, Phased, Size};
 use super::prior::Prior;
 use super::problem::Model;
-use super::refit::{Free, Noise, coefficients};
+use super::refit::{Free, coefficients};
 use super::rotor::P;
 use super::set::{Part, Set};
 use rayon::prelude::*;
+use twum_fit::noise::Noise;
 
 /// Linear gain in nats from which a form is refitted: a refit seldom finds more than another nat, and an effect costs three.
 const LEAST_LOOK: f64 = 2.0;

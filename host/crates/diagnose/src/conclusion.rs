@@ -9,13 +9,14 @@ use super::level::DUTY;
 use super::library::{Coordinate, Effect};
 use super::numbers::estimates;
 use super::problem::{Model, Problem};
-use super::refit::{Noise, objective, refit};
+use super::refit::{objective, refit};
 use super::set::{Part, Set, strip};
 use super::stats::HeldOut;
 use super::verdict::{
     ALIKE, Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, MOST_OF_A_COURSE, NAMED, TEMPERATURE,
     Visited, judge,
 };
+use twum_fit::noise::Noise;
 use twum_record::measurement::RunKind;
 
 /// What the search is asked to do.
@@ -343,7 +344,7 @@ fn without(ground: &Ground, sets: &[Set], accepted: &Set, effect: usize) -> Set 
 
 /// Shares of the baseline's squared error that each effect removes: the mean of adding it first and adding it last.
 fn share_out(root: &Set, sets: &[Set], accepted: &Set, ground: &Ground, findings: &mut [Finding]) {
-    let error = |s: &Set| objective(ground.problem, &s.model, Noise { variance: 1.0, gain_spread: 0.0 });
+    let error = |s: &Set| objective(ground.problem, &s.model, Noise::PLAIN);
     let (none, all) = (error(root), error(accepted));
     let removed: Vec<f64> = accepted
         .parts

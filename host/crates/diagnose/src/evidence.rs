@@ -14,6 +14,7 @@ use super::form_error::FORM_ERROR;
 use super::level::{Level, Taus};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
+use twum_fit::normal::Normal;
 
 /// How many independent residuals a data set counts as: two forms are told apart if this many would tell them apart.
 const INDEPENDENT: f64 = 200.0;
@@ -33,13 +34,6 @@ pub struct Equations {
     pub independent: f64,
 }
 
-/// Normal equations of one run.
-pub struct Normal {
-    g: DMatrix<f64>,
-    b: DVector<f64>,
-    yy: f64,
-}
-
 impl Equations {
     /// Of `designs`; the coefficients that the model has of columns `own` in each run are added back, so that they are fitted whole.
     pub fn new(designs: &[RunDesign], own: std::ops::Range<usize>, values: &[Vec<f64>]) -> Self {
@@ -47,15 +41,8 @@ impl Equations {
             .par_iter()
             .zip(values)
             .map(|(d, z)| {
-                let n = d.columns;
-                // Rows of windows are columns of the transposed matrix.
-                let x = DMatrix::from_column_slice(n, d.y.len(), &d.x);
-                let y = DVector::from_column_slice(&d.y);
-                let (g, b) = (&x * x.transpose(), &x * &y);
-                let around = DVector::from_fn(n, |i, _| if own.contains(&i) { z[i - own.start] } else { 0.0 });
-                let shift = &g * &around;
-                let yy = y.dot(&y) + 2.0 * b.dot(&around) + shift.dot(&around);
-                Normal { b: b + shift, g, yy }
+                let around = DVector::from_fn(d.columns, |i, _| if own.contains(&i) { z[i - own.start] } else { 0.0 });
+                Normal::new(d.columns, &d.x, &d.y).whole(&around)
             })
             .collect();
         let rows = designs.iter().map(|d| d.y.len() as f64).sum();
@@ -69,7 +56,7 @@ impl Equations {
         let before: Vec<usize> = std::iter::once(0).chain(with.iter().copied()).collect();
         let after: Vec<usize> = before.iter().copied().chain(columns).collect();
         let [before, after] = [before, after].map(|columns| {
-            let fits = self.runs.iter().map(|run| run.fitted(&columns));
+            let fits = self.runs.iter().map(|run| fitted(run, &columns));
             let (left, taken) = fits.fold((0.0, 0.0), |sum, fit| (sum.0 + fit.0, sum.1 + fit.1));
             left * apart / (apart - taken).max(0.25 * apart)
         });
@@ -87,33 +74,19 @@ impl Equations {
     }
 }
 
-impl Normal {
-    /// Of `XᵀX`, `Xᵀy` and `yᵀy`; column 0 of X is the predicted speed.
-    pub fn new(g: DMatrix<f64>, b: DVector<f64>, yy: f64) -> Self {
-        Self { g, b, yy }
-    }
-
-    /// `yᵀy`.
-    pub fn squared(&self) -> f64 {
-        self.yy
-    }
-}
-
 /// Share of the largest diagonal element below which a column says nothing in a run.
 const NEGLIGIBLE: f64 = 1e-9;
 
-impl Normal {
-    /// Squared error left, and coefficients that it took, with `columns` fitted freely.
-    fn fitted(&self, columns: &[usize]) -> (f64, f64) {
-        let largest = columns.iter().map(|c| self.g[(*c, *c)]).fold(0.0, f64::max);
-        let seen: Vec<usize> = columns.iter().copied().filter(|c| self.g[(*c, *c)] > NEGLIGIBLE * largest).collect();
-        let n = seen.len();
-        let ridge = NEGLIGIBLE * largest;
-        let g = DMatrix::from_fn(n, n, |i, j| self.g[(seen[i], seen[j])] + if i == j { ridge } else { 0.0 });
-        let b = DVector::from_fn(n, |i, _| self.b[seen[i]]);
-        let explained = g.cholesky().map_or(0.0, |chol| b.dot(&chol.solve(&b)));
-        ((self.yy - explained).max(0.0), n as f64)
-    }
+/// Squared error of a run that is left, and coefficients that it took, with `columns` fitted freely.
+fn fitted(run: &Normal, columns: &[usize]) -> (f64, f64) {
+    let largest = columns.iter().map(|c| run.g[(*c, *c)]).fold(0.0, f64::max);
+    let seen: Vec<usize> = columns.iter().copied().filter(|c| run.g[(*c, *c)] > NEGLIGIBLE * largest).collect();
+    let n = seen.len();
+    let ridge = NEGLIGIBLE * largest;
+    let g = DMatrix::from_fn(n, n, |i, j| run.g[(seen[i], seen[j])] + if i == j { ridge } else { 0.0 });
+    let b = DVector::from_fn(n, |i, _| run.b[seen[i]]);
+    let explained = g.cholesky().map_or(0.0, |chol| b.dot(&chol.solve(&b)));
+    ((run.yy - explained).max(0.0), n as f64)
 }
 
 /// How many independent residuals `rows` of `runs` count as; overlapping ones repeat each other.

@@ -8,9 +8,10 @@ use super::form_error::FormError;
 use super::level::Level;
 use super::library::{Effect, Phased};
 use super::problem::{Model, Problem};
-use super::refit::{Free, Noise, columns_of, objective, refit};
+use super::refit::{Free, columns_of, objective, refit};
 use super::rotor::Parameters;
 use super::set::{Part, Set};
+use twum_fit::noise::Noise;
 
 /// What a search works on.
 pub struct Ground<'a> {

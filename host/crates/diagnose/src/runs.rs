@@ -10,8 +10,9 @@ use super::library::{Effect, library, not_judged};
 use super::prior::Prior;
 use super::problem::{Model, Problem};
 use super::pwm_line::{LARGEST as LARGEST_CLOCK_ERROR, clock_errors};
-use super::refit::{Free, Noise, objective, refit};
+use super::refit::{Free, objective, refit};
 use super::rotor::{P, Parameters};
+use twum_fit::noise::Noise;
 
 /// Diagnoses runs, starting from the motor file's rotor.
 pub fn diagnose_runs(
@@ -113,10 +114,9 @@ const CLOCK_STEPS: usize = 6;
 /// A wrong clock that does as well as lost samples: both move the PWM line. The motor is refitted beside either, because what it was fitted
 /// to had the error in it.
 fn clock_instead(problem: &Problem, baseline: &Model, home: &Parameters, gaps: &Gaps) -> Option<Model> {
-    let alike = Noise { variance: 1.0, gain_spread: 0.0 };
     let rows: usize = problem.runs.iter().map(|r| r.windows.len()).sum();
     let refitted = |of: &Problem, home: &Parameters| refit_baseline(of, home, rows as f64);
-    let with_gaps = objective(&gaps.problem, &refitted(&gaps.problem, home), alike);
+    let with_gaps = objective(&gaps.problem, &refitted(&gaps.problem, home), Noise::PLAIN);
     let beside = |error: f64| {
         let model = refitted(problem, &home.with(P::ClockError, error));
         let mut free = baseline_free(&model.parameters, home, false);
@@ -130,12 +130,12 @@ fn clock_instead(problem: &Problem, baseline: &Model, home: &Parameters, gaps: &
     let at = |error: f64| {
         let mut m = baseline.clone();
         m.parameters.set(P::ClockError, error);
-        (objective(problem, &m, alike), error)
+        (objective(problem, &m, Noise::PLAIN), error)
     };
     let near = (-30..=30).filter(|k| *k != 0).map(|k| at(4e-4 * f64::from(k)));
     let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0)).map(|n| n.1);
     let clocks = clock_errors(problem).into_iter().chain(nearest).map(beside);
     let (misfit, clock) =
-        clocks.map(|model| (objective(problem, &model, alike), model)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+        clocks.map(|model| (objective(problem, &model, Noise::PLAIN), model)).min_by(|a, b| a.0.total_cmp(&b.0))?;
     (misfit < 1.05 * with_gaps).then_some(clock)
 }

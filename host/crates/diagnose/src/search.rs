@@ -10,9 +10,10 @@ use super::form_error::FormError;
 use super::ground::Ground;
 use super::library::{Coordinate, Form};
 use super::problem::Model;
-use super::refit::{Noise, coefficients, put_coefficients};
+use super::refit::{coefficients, put_coefficients};
 use super::rotor::{P, Parameters};
 use super::set::{Part, Set, key, strip};
+use twum_fit::noise::Noise;
 
 /// Most effects in a set.
 pub(super) const MOST_EFFECTS: usize = 4;

@@ -1,7 +1,14 @@
 //! Gauss–Newton with priors, and intervals by profile likelihood.
 
+use crate::descent::descend;
 use crate::quantile::NORMAL_95;
 use nalgebra::{DMatrix, DVector};
+
+/// Steps at most: a search that is still moving then has lost its way.
+const STEPS_AT_MOST: usize = 20;
+
+/// Shares of a step that are tried.
+const SHORTER: [f64; 5] = [1.0, 0.4, 0.16, 0.064, 0.0256];
 
 /// A point of the search.
 #[derive(Debug, Clone)]
@@ -53,42 +60,42 @@ impl<P: Fn(&DVector<f64>) -> DVector<f64>> Search<'_, P> {
         normal_equations(&at.jacobian, self.data, &at.y, self.sigma, &at.x, self.priors, at.misfit)
     }
 
-    /// Gauss–Newton (Nocedal and Wright, Numerical Optimization, 10.3) with the priors as further residuals; a step that does
-    /// not help is shortened. `held` keeps the first parameter where it is, `misfit` is estimated on the way unless given.
+    /// Gauss–Newton with the priors as further residuals; a step that does not help is shortened. `held` keeps the first parameter where it
+    /// is, `misfit` is estimated on the way unless given.
     pub fn settle(&self, x: DVector<f64>, held: bool, misfit: Option<f64>) -> Point {
         let y = (self.predict)(&x);
-        let jacobian = self.slopes(&x);
-        let mut at = Point { misfit: misfit.unwrap_or_else(|| excess(self.data, &y, self.sigma)), x, y, jacobian };
-        for _ in 0..20 {
-            at.misfit = misfit.unwrap_or_else(|| excess(self.data, &at.y, self.sigma));
+        let around = |x: &DVector<f64>, y: &DVector<f64>| Point {
+            misfit: misfit.unwrap_or_else(|| excess(self.data, y, self.sigma)),
+            x: x.clone(),
+            y: y.clone(),
+            jacobian: self.slopes(x),
+        };
+        let mut last = None;
+        let linearise = |(x, y): &(DVector<f64>, DVector<f64>)| {
+            let at = around(x, y);
             let (mut normal, mut gradient) = self.normal_equations(&at);
             if held {
                 normal.row_mut(0).fill(0.0);
                 normal.column_mut(0).fill(0.0);
                 (normal[(0, 0)], gradient[0]) = (1.0, 0.0);
             }
-            let Some(full) = normal.cholesky().map(|c| c.solve(&gradient)) else { break };
-            let full = full.map(|d| d.clamp(-0.5, 0.5));
-            let before = self.cost(&at.x, &at.y, at.misfit);
-            let mut factor = 1.0;
-            let mut gained = 0.0;
-            while factor > 0.02 {
-                let x = &at.x + &full * factor;
+            let full = normal.cholesky().map(|c| c.solve(&gradient).map(|d| d.clamp(-0.5, 0.5)));
+            let misfit = at.misfit;
+            last = Some(at);
+            ((full, misfit), self.cost(x, y, misfit))
+        };
+        let attempt =
+            |(x, _): &(DVector<f64>, DVector<f64>), (full, misfit): &(Option<DVector<f64>>, f64), factor: f64| {
+                let x = x + full.as_ref()? * factor;
                 let y = (self.predict)(&x);
-                let after = self.cost(&x, &y, at.misfit);
-                if after < before {
-                    (at.x, at.y) = (x, y);
-                    gained = before - after;
-                    break;
-                }
-                factor *= 0.4;
-            }
-            if gained < 1e-3 {
-                break;
-            }
-            at.jacobian = self.slopes(&at.x);
-        }
-        at
+                let cost = self.cost(&x, &y, *misfit);
+                Some(((x, y), cost))
+            };
+        let (x, y) =
+            descend((x, y), STEPS_AT_MOST, &SHORTER, linearise, attempt, |before, after| before - after < 1e-3);
+        // Where the last step gained next to nothing, the slopes before it are those after it.
+        let last = last.unwrap_or_else(|| around(&x, &y));
+        Point { x, y, ..last }
     }
 
     fn slopes(&self, x: &DVector<f64>) -> DMatrix<f64> {

@@ -20,5 +20,8 @@
 //! assert!((end / (NORMAL_95 * sd) - 1.0).abs() < 0.1);
 //! ```
 
+pub mod descent;
 pub mod least_squares;
+pub mod noise;
+pub mod normal;
 pub mod quantile;

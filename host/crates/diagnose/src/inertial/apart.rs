@@ -2,12 +2,13 @@
 
 use super::conclude::InertialOutcome;
 use super::data::Data;
-use super::fit::{Noise, Plant, misfit, refit};
+use super::fit::{Plant, misfit, refit};
 use super::held_out::squared_error;
 use super::sets::{GAIN_SPREAD, Ground, Set};
 use super::values::P;
 use crate::finding::{Finding, Status};
 use crate::stats::HeldOut;
+use twum_fit::noise::Noise;
 
 /// Share of the squared error that is left when every run has numbers of its own, below which the runs are not of one motor: half the
 /// error, and more, is then that they differ.
@@ -37,8 +38,7 @@ pub fn differ(ground: &Ground, set: &Set) -> Option<Vec<Plant>> {
         };
         let fitted = [1.0, -1.0].map(|sign| {
             let from = start(sign);
-            let raw = Noise { variance: 1.0, gain_spread: 0.0 };
-            let variance = misfit(&alone, &from, &[], raw, &[]) / ground.independent;
+            let variance = misfit(&alone, &from, &[], Noise::PLAIN, &[]) / ground.independent;
             refit(&alone, from, &free, Noise { variance: variance.max(1e-12), gain_spread: 0.0 }, &[], STEPS)
         });
         let error = |p: &Plant| squared_error(&alone, p);

@@ -6,8 +6,10 @@ use super::data::Data;
 use super::effects::Free;
 use super::plant::{Motion, goals, simulate, simulate_all, simulate_goals};
 use super::values::{P, Values};
-use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use twum_fit::descent::{DAMPINGS, descend};
+use twum_fit::noise::Noise;
+use twum_fit::normal::{Normal, Pull, Solution, solve};
 
 /// Share of the misfit below which a step gains nothing: a hundredth of a nat of two hundred residuals.
 const SETTLED: f64 = 1e-4;
@@ -30,44 +32,6 @@ pub struct Block {
     pub rows: std::ops::Range<usize>,
 }
 
-/// What a fit goes by.
-#[derive(Debug, Clone, Copy)]
-pub struct Noise {
-    /// Variance of a residual as the priors weigh it, in rpm².
-    pub variance: f64,
-    /// Relative spread of the gains of runs.
-    pub gain_spread: f64,
-}
-
-impl Noise {
-    /// As it is among so many runs: a single run's gain is the plant's.
-    pub fn of_runs(self, runs: usize) -> Self {
-        if runs == 1 { Self { gain_spread: 0.0, ..self } } else { self }
-    }
-}
-
-/// Normal equations of one run over the free numbers, the initial speed (last but one) and the predicted speed (last).
-struct Normal {
-    g: DMatrix<f64>,
-    b: DVector<f64>,
-    yy: f64,
-}
-
-impl Normal {
-    /// Takes the gain out as far as it scatters.
-    fn without_gain(mut self, noise: Noise) -> Self {
-        let n = self.b.len();
-        let t = noise.gain_spread * noise.gain_spread;
-        let gamma = t / (noise.variance + t * self.g[(n - 1, n - 1)]);
-        let column = self.g.column(n - 1).clone_owned();
-        let by = self.b[n - 1];
-        self.g -= &column * column.transpose() * gamma;
-        self.b -= &column * (gamma * by);
-        self.yy -= gamma * by * by;
-        self
-    }
-}
-
 /// Rows of a run that are fitted.
 fn kept(hidden: &[Block], run: usize) -> impl Fn(usize) -> bool + '_ {
     let blocks: Vec<&Block> = hidden.iter().filter(|b| b.run == run).collect();
@@ -86,7 +50,6 @@ pub fn log_prior(values: &Values, free: &[Free]) -> f64 {
 }
 
 fn misfit_of(data: &Data, motions: &[Motion], noise: Noise, hidden: &[Block]) -> f64 {
-    let t = noise.gain_spread * noise.gain_spread;
     let of = |(i, m): (usize, &Motion)| {
         let keep = kept(hidden, i);
         let (mut yy, mut gg, mut gy) = (0.0, 0.0, 0.0);
@@ -96,7 +59,7 @@ fn misfit_of(data: &Data, motions: &[Motion], noise: Noise, hidden: &[Block]) ->
             gg += p * p;
             gy += p * r;
         }
-        yy - t / (noise.variance + t * gg) * gy * gy
+        noise.squared_error(yy, gg, gy)
     };
     motions.iter().enumerate().map(of).sum()
 }
@@ -134,66 +97,16 @@ pub fn derivatives(data: &Data, plant: &Plant, free: &[Free]) -> (Vec<Motion>, V
     (now, columns)
 }
 
-fn normal(y: &[f64], motion: &Motion, columns: &[Vec<f64>], keep: impl Fn(usize) -> bool) -> Normal {
-    let n = columns.len() + 1;
-    let mut g = DMatrix::zeros(n, n);
-    let mut b = DVector::zeros(n);
-    let mut yy = 0.0;
-    let mut row = vec![0.0; n];
-    for k in (0..y.len()).filter(|k| keep(*k)) {
-        for (to, column) in row.iter_mut().zip(columns) {
-            *to = column[k];
-        }
-        row[n - 1] = motion.rpm[k];
-        let r = y[k] - motion.rpm[k];
-        yy += r * r;
-        for i in 0..n {
-            b[i] += row[i] * r;
-            for j in 0..=i {
-                g[(i, j)] += row[i] * row[j];
-            }
-        }
-    }
-    for i in 0..n {
-        for j in 0..i {
-            g[(j, i)] = g[(i, j)];
-        }
-    }
-    Normal { g, b, yy }
+/// Equations of one run over what is free and the initial speed, the gain taken out.
+fn equations(y: &[f64], motion: &Motion, columns: &[Vec<f64>], keep: impl Fn(usize) -> bool, noise: Noise) -> Normal {
+    let rows: Vec<usize> = (0..y.len()).filter(|k| keep(*k)).collect();
+    let row = |k: &usize| columns.iter().map(|c| c[*k]).chain([motion.rpm[*k]]).collect::<Vec<f64>>();
+    let x: Vec<f64> = rows.iter().flat_map(row).collect();
+    let y: Vec<f64> = rows.iter().map(|k| y[*k] - motion.rpm[*k]).collect();
+    Normal::new(columns.len() + 1, &x, &y).without_gain(columns.len(), noise).first(columns.len())
 }
 
-/// The step of all numbers, and of each run's initial speed.
-fn solve(
-    runs: &[Normal],
-    plant: &Plant,
-    free: &[Free],
-    noise: Noise,
-    damping: f64,
-    usual_rpm: f64,
-) -> Option<(DVector<f64>, Vec<f64>)> {
-    let c = free.len();
-    let mut m = DMatrix::zeros(c, c);
-    let mut rhs = DVector::zeros(c);
-    // The initial speed of a run is eliminated: it touches no other run. Where the rows that show it are left out, it stays.
-    let unseen = noise.variance / (usual_rpm * usual_rpm).max(1e-12);
-    let own = |r: &Normal| r.g[(c, c)] * (1.0 + damping) + unseen;
-    for r in runs {
-        let link = r.g.view((c, 0), (1, c)).clone_owned();
-        m += r.g.view((0, 0), (c, c)) - link.transpose() * &link / own(r);
-        rhs += r.b.rows(0, c) - link.transpose() * (r.b[c] / own(r));
-    }
-    for (i, f) in free.iter().enumerate() {
-        m[(i, i)] += noise.variance / (f.sd * f.sd);
-        rhs[i] -= noise.variance * (plant.values.get(f.number) - f.centre) / (f.sd * f.sd);
-        m[(i, i)] *= 1.0 + damping;
-        m[(i, i)] += 1e-12 * m[(i, i)] + 1e-300;
-    }
-    let step = if c > 0 { m.cholesky()?.solve(&rhs) } else { rhs };
-    let starts = runs.iter().map(|r| (r.b[c] - r.g.view((c, 0), (1, c)).transpose().dot(&step)) / own(r)).collect();
-    Some((step, starts))
-}
-
-/// The plant after at most `steps` steps; rows `hidden` are not fitted.
+/// The plant after at most `steps` steps; rows `hidden` are not fitted. The noise is as the priors weigh it, in rpm².
 pub fn refit(data: &Data, plant: Plant, free: &[Free], noise: Noise, hidden: &[Block], steps: usize) -> Plant {
     refit_until(SETTLED, data, plant, free, noise, hidden, steps)
 }
@@ -206,47 +119,55 @@ pub fn refit_to_the_end(data: &Data, plant: Plant, free: &[Free], noise: Noise, 
 fn refit_until(
     settled: f64,
     data: &Data,
-    mut plant: Plant,
+    plant: Plant,
     free: &[Free],
     noise: Noise,
     hidden: &[Block],
     steps: usize,
 ) -> Plant {
-    let noise = noise.of_runs(data.runs.len());
-    let mut value = misfit(data, &plant, free, noise, hidden);
-    let mut damping = 1e-6;
-    for _ in 0..steps {
-        let (now, columns) = derivatives(data, &plant, free);
+    let noise = noise_of_runs(noise, data.runs.len());
+    // An initial speed is like any other. Where the rows that show it are left out, it stays.
+    let precision = [noise.variance / (data.usual_rpm * data.usual_rpm).max(1e-12)];
+    let linearise = |at: &Plant| {
+        let (now, columns) = derivatives(data, at, free);
         let runs: Vec<Normal> = (0..data.runs.len())
             .into_par_iter()
-            .map(|i| normal(&data.runs[i].rpm, &now[i], &columns[i], kept(hidden, i)).without_gain(noise))
+            .map(|i| equations(&data.runs[i].rpm, &now[i], &columns[i], kept(hidden, i), noise))
             .collect();
-        let before = value;
-        for _ in 0..7 {
-            let Some((step, starts)) = solve(&runs, &plant, free, noise, damping, data.usual_rpm) else {
-                damping *= 10.0;
-                continue;
-            };
-            let mut trial = plant.clone();
-            for (f, s) in free.iter().zip(step.iter()) {
-                let longest = if f.number == P::LogLag { 1.0 } else { f.sd };
-                let moved = trial.values.get(f.number) + s.clamp(-longest, longest);
-                trial.values.set(f.number, moved.clamp(f.bounds.0, f.bounds.1));
-            }
-            for (start, s) in trial.starts.iter_mut().zip(starts) {
-                *start += s.clamp(-data.usual_rpm, data.usual_rpm);
-            }
-            let after = misfit(data, &trial, free, noise, hidden);
-            if after < value {
-                (plant, value) = (trial, after);
-                damping = (damping * 0.1).max(1e-9);
-                break;
-            }
-            damping = (damping * 20.0).min(1e8);
-        }
-        if before - value <= settled * before.abs() {
-            break;
-        }
+        let pulls: Vec<Pull> = free.iter().map(|f| pull(f, at, noise.variance)).collect();
+        ((runs, pulls), misfit_of(data, &now, noise, hidden) - 2.0 * noise.variance * log_prior(&at.values, free))
+    };
+    let attempt = |at: &Plant, (runs, pulls): &(Vec<Normal>, Vec<Pull>), damping: f64| {
+        let by = solve(runs, pulls, &precision, damping)?;
+        let trial = moved(data, at, free, &by, 1.0 / (1.0 + damping));
+        let after = misfit(data, &trial, free, noise, hidden);
+        Some((trial, after))
+    };
+    let alike = |before: f64, after: f64| before - after <= settled * before.abs();
+    descend(plant, steps, &DAMPINGS, linearise, attempt, alike)
+}
+
+/// Noise as it is among so many runs: a single run's gain is the plant's.
+pub fn noise_of_runs(noise: Noise, runs: usize) -> Noise {
+    if runs == 1 { Noise { gain_spread: 0.0, ..noise } } else { noise }
+}
+
+/// What is known of a number.
+fn pull(free: &Free, at: &Plant, variance: f64) -> Pull {
+    let curvature = variance / (free.sd * free.sd);
+    Pull { slope: curvature * (at.values.get(free.number) - free.centre), curvature }
+}
+
+/// The plant after a step; the initial speeds go a share of theirs.
+fn moved(data: &Data, plant: &Plant, free: &[Free], by: &Solution, own_share: f64) -> Plant {
+    let mut trial = plant.clone();
+    for (f, s) in free.iter().zip(by.common.iter()) {
+        let longest = if f.number == P::LogLag { 1.0 } else { f.sd };
+        let moved = trial.values.get(f.number) + s.clamp(-longest, longest);
+        trial.values.set(f.number, moved.clamp(f.bounds.0, f.bounds.1));
     }
-    plant
+    for (start, s) in trial.starts.iter_mut().zip(&by.own) {
+        *start += (own_share * s[0]).clamp(-data.usual_rpm, data.usual_rpm);
+    }
+    trial
 }

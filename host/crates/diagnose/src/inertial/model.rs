@@ -4,7 +4,7 @@ use super::angle::Ripple;
 use super::conclude::InertialOutcome;
 use super::data::{Data, DriveRun};
 use super::effects::reported;
-use super::fit::{Noise, Plant, refit};
+use super::fit::{Plant, refit};
 use super::held_out::squared_error;
 use super::plant::{simulate, simulate_all};
 use super::ripple::followed;
@@ -15,6 +15,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 use twum_files::input;
+use twum_fit::noise::Noise;
 use twum_record::measurement::Run;
 
 /// Steps of the fit of a run's initial speed, the only number that a saved motor leaves open.
@@ -291,8 +292,7 @@ impl Model {
         let ripples: Vec<Ripple> = self.orders.iter().map(ripple).collect();
         data = data.with_ripples(ripples, self.lag_s(), None);
         let starts = data.runs.iter().map(|r| r.rpm[0]).collect();
-        let raw = Noise { variance: 1.0, gain_spread: 0.0 };
-        let started = |data: &Data, plant| refit(data, plant, &[], raw, &[], STEPS);
+        let started = |data: &Data, plant| refit(data, plant, &[], Noise::PLAIN, &[], STEPS);
         let mut plant = started(&data, Plant { values: self.values(), starts });
         if !data.ripples.is_empty() {
             let told = followed(&data, &plant, started);

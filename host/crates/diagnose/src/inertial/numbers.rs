@@ -2,11 +2,12 @@
 
 use super::super::finding::Estimate;
 use super::effects::{EFFECTS, Free, over_angle, reported};
-use super::fit::{Noise, derivatives};
+use super::fit::{derivatives, noise_of_runs};
 use super::sets::{Ground, Set, memory};
 use super::values::P;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::TAU;
+use twum_fit::noise::Noise;
 use twum_fit::quantile::{NORMAL_95, student_95};
 
 /// Pieces of a run whose errors count as independent of each other for the intervals.
@@ -104,7 +105,7 @@ impl Uncertainty {
         let free = ground.free_of(&set.parts, &set.plant.values);
         let n = free.len();
         let (now, columns) = derivatives(data, &set.plant, &free);
-        let noise = ground.noise_of_samples(&set.plant).of_runs(data.runs.len());
+        let noise = noise_of_runs(ground.noise_of_samples(&set.plant), data.runs.len());
         let (mut g, mut meat) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
         let mut squares = 0.0;
         for (i, run) in data.runs.iter().enumerate() {

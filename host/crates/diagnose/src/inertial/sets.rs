@@ -8,12 +8,13 @@ use super::super::weighing::{EFFECT_COST, SAME_COORDINATE};
 use super::angle::Ripple;
 use super::data::Data;
 use super::effects::{EFFECTS, Free, free, over_angle, refined_by};
-use super::fit::{Noise, Plant, log_prior, misfit, refit, refit_to_the_end};
+use super::fit::{Plant, log_prior, misfit, refit, refit_to_the_end};
 use super::plant::simulate_all;
 use super::ripple::{followed, span};
 use super::values::{P, Values};
 use super::weigh::{Evidence, Terms, weigh_plant};
 use rayon::prelude::*;
+use twum_fit::noise::Noise;
 
 /// Usual spread of the gain from run to run: supplies and warmth of ordinary drives.
 pub const GAIN_SPREAD: f64 = 0.02;
@@ -152,8 +153,7 @@ impl<'a> Ground<'a> {
     }
 
     fn noise_among(&self, independent: f64, plant: &Plant) -> Noise {
-        let raw = Noise { variance: 1.0, gain_spread: 0.0 };
-        let variance = misfit(self.data, plant, &[], raw, &[]) / independent;
+        let variance = misfit(self.data, plant, &[], Noise::PLAIN, &[]) / independent;
         Noise { variance: variance.max(1e-12), gain_spread: GAIN_SPREAD }
     }
 
@@ -274,7 +274,7 @@ impl<'a> Ground<'a> {
         let longest = self.data.runs.iter().map(|r| r.seconds()).fold(0.0, f64::max);
         let starts: Vec<f64> = self.data.runs.iter().map(|r| r.rpm[0]).collect();
         let lag = |k: usize| 0.3 * shortest * (longest / shortest).powf(k as f64 / 9.0);
-        let value = |p: &Plant| misfit(self.data, p, &[], Noise { variance: 1.0, gain_spread: 0.0 }, &[]);
+        let value = |p: &Plant| misfit(self.data, p, &[], Noise::PLAIN, &[]);
         let mut lines: Vec<(f64, Plant)> = (0..20)
             .into_par_iter()
             .map(|k| {

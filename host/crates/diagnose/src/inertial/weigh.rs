@@ -1,15 +1,16 @@
 //! What the data say for a set of effects: the equations around a refitted plant, with terms without physics beside it.
 
 use super::super::discrepancy::{FREE_FORM_COST, SIZE, TERM_COST};
-use super::super::evidence::{Equations, Normal, Question, Spreads, Start, Weighed, weigh};
+use super::super::evidence::{Equations, Question, Spreads, Start, Weighed, weigh};
 use super::super::level::Level;
 use super::super::verdict::Course;
 use super::data::{Data, DriveRun};
 use super::effects::Free;
 use super::fit::{Plant, derivatives};
-use nalgebra::{Complex, DMatrix, DVector};
+use nalgebra::Complex;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
+use twum_fit::normal::Normal;
 
 /// Knots over the input.
 const INPUT_KNOTS: usize = 9;
@@ -161,7 +162,7 @@ pub fn weigh_plant(
         }
         weigh(&equations, level, &q, start)
     };
-    let misfit: f64 = equations.runs.iter().map(Normal::squared).sum();
+    let misfit: f64 = equations.runs.iter().map(|run| run.yy).sum();
     let start = Start {
         variance: (misfit / independent).max(1e-12),
         taus: level.believed(),
@@ -230,26 +231,21 @@ fn equations(data: &Data, terms: &Terms, plant: &Plant, free: &[Free]) -> Vec<No
         .map(|i| {
             let run = &data.runs[i];
             let echoes = echoes(run, plant.values.lag_s());
-            let (mut g, mut b, mut yy) = (DMatrix::zeros(n, n), DVector::zeros(n), 0.0);
+            let mut normal = Normal::empty(n);
             for from in (0..run.rpm.len()).step_by(CHUNK) {
                 let rows = from..(from + CHUNK).min(run.rpm.len());
-                let mut x = DMatrix::zeros(n, rows.len());
-                let mut y = DVector::zeros(rows.len());
-                for (j, k) in rows.enumerate() {
-                    let mut column = x.column_mut(j);
-                    let row = column.as_mut_slice();
+                let mut x = vec![0.0; n * rows.len()];
+                for (row, k) in x.chunks_exact_mut(n).zip(rows.clone()) {
                     row[0] = now[i].rpm[k];
                     for (to, c) in row[1..].iter_mut().zip(&columns[i][..free.len()]) {
                         *to = c[k];
                     }
                     terms.fill(run, &now[i].rpm, &echoes, data, k, &mut row[1 + free.len()..]);
-                    y[j] = run.rpm[k] - now[i].rpm[k];
                 }
-                yy += y.norm_squared();
-                b += &x * &y;
-                g += &x * x.transpose();
+                let y: Vec<f64> = rows.map(|k| run.rpm[k] - now[i].rpm[k]).collect();
+                normal.add(&x, &y);
             }
-            Normal::new(g, b, yy)
+            normal
         })
         .collect()
 }
