@@ -27,12 +27,20 @@ impl Piece {
                 (speed * dt + 0.5 * a * dt * dt, w)
             }
             Motion::Approach { to, drift, rate } => {
-                let decay = (-rate * dt).exp();
+                let decay = decayed(rate * dt);
                 let angle = to * dt + 0.5 * drift * dt * dt + (speed - to) * (1.0 - decay) / rate;
                 (angle, to + drift * dt + (speed - to) * decay)
             }
         }
     }
+}
+
+/// Time constants after which a double holds nothing of what was (e⁻³⁷ is half its last digit).
+const GONE_FOR_GOOD: f64 = 37.0;
+
+/// What is left after so many time constants. Most of a run lies where nothing is: that needs no exponential.
+pub(super) fn decayed(time_constants: f64) -> f64 {
+    if time_constants < GONE_FOR_GOOD { (-time_constants).exp() } else { 0.0 }
 }
 
 /// How the wave's crest pulls the rotor.

@@ -1,5 +1,7 @@
 //! The wave's height after a switching.
 
+use super::motion::decayed;
+
 /// The stator's wave: it follows the drive with a time constant, and carries the rotor from some height on.
 pub(super) struct Wave {
     /// Time constants in s of building up and of dying away.
@@ -19,8 +21,6 @@ pub(super) struct Wave {
 
 /// Time constants after which the wave is at its height, or gone, to a few thousandths.
 const SETTLED: f64 = 5.0;
-/// Time constants after which a double holds nothing of what was (e⁻³⁷ is half its last digit).
-const GONE_FOR_GOOD: f64 = 37.0;
 /// First step after a switching, and how later ones grow with the time since a rise, in time constants: the crest moves in a straight line
 /// within one.
 const STEP: f64 = 0.5;
@@ -42,8 +42,8 @@ impl Wave {
     pub(super) fn height_at(&self, t: f64) -> f64 {
         let (goal, tau) = self.going();
         let age = (t - self.since).max(0.0);
-        // What is gone needs no exponential: most of a pulse lies there.
-        let kept = if age < GONE_FOR_GOOD * tau { (-age / tau).exp() } else { 0.0 };
+        // A wave without inertia is where it goes at once.
+        let kept = if tau > 0.0 { decayed(age / tau) } else { 0.0 };
         goal + (self.height - goal) * kept
     }
 
@@ -55,7 +55,7 @@ impl Wave {
             return [start, self.height_at(to)];
         }
         let x = (to - from) / tau;
-        let kept = (-x).exp();
+        let kept = decayed(x);
         let ends = [start, goal + (start - goal) * kept];
         let mean = if x > 1e-6 { goal + (start - goal) * (1.0 - kept) / x } else { start };
         ends.map(|height| height + mean - 0.5 * (ends[0] + ends[1]))
