@@ -45,7 +45,7 @@ impl Chance {
 
 /// How runs are held out.
 pub struct Scorer<'a> {
-    ground: &'a Ground<'a>,
+    pub(super) ground: &'a Ground<'a>,
     /// Runs with equal keys repeat each other.
     pub keys: Vec<String>,
     divisions: Vec<Fold>,

@@ -40,6 +40,7 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
     let columns: Vec<usize> = (0..grams.columns()).collect();
     let (beta, covariance) = grams.fit_all(&columns);
     let first = free - set.parts.iter().map(|p| p.free.len()).sum::<usize>();
+    let all = scorer.ground.free(&set.model, &set.parts);
     let before: usize = set.parts.iter().take_while(|p| p.effect != part.effect).map(|p| p.free.len()).sum();
     let quantile = student_95(scorer.keys.len().saturating_sub(1) as f64);
     let form = &effect.forms[part.form];
@@ -54,10 +55,16 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
                 let f = &part.free[k];
                 let at = first + before + k;
                 let value = (now + beta[at].clamp(-0.3, 0.3) * f.scale).clamp(f.bounds.0, f.bounds.1);
-                let spread = covariance[(at, at)].max(0.0).sqrt() * f.scale;
-                let half = (quantile * spread).hypot(NORMAL_95 * FORM * value);
+                let mut variance = covariance[(at, at)] * f.scale * f.scale;
+                // What is a share of another number is as uncertain as both together (the delta method).
+                let whole = reported.of.map_or(1.0, |p| set.model.parameters.get(p));
+                if let Some(k) = all.iter().position(|other| Some(other.parameter) == reported.of) {
+                    let per_whole = value / whole * all[k].scale;
+                    variance += per_whole * (per_whole * covariance[(k, k)] + 2.0 * f.scale * covariance[(k, at)]);
+                }
+                let half = (quantile * variance.max(0.0).sqrt()).hypot(NORMAL_95 * FORM * value);
                 let interval = [(value - half).max(f.bounds.0.min(0.0)), (value + half).min(f.bounds.1)];
-                return Some(Estimate { name, value, interval, unit });
+                return Some(Estimate { name, value: value * whole, interval: interval.map(|end| end * whole), unit });
             }
             // A shape that the form states.
             let stated = form.shapes.iter().find(|s| s.parameter == reported.parameter)?;

@@ -21,7 +21,7 @@ pub fn diagnose_runs(
     settings: &Settings,
     progress: &dyn Fn(&str, f64),
 ) -> Outcome {
-    let effects: Vec<Effect> = library(home.get(P::OnAcceleration), &clock_errors(problem), &problem.formulas)
+    let effects: Vec<Effect> = library(&clock_errors(problem), &problem.formulas)
         .into_iter()
         .filter(|e| !settings.without.iter().any(|w| *w == e.name))
         .collect();

@@ -113,7 +113,7 @@ fn reached(problem: &Problem, p: &Rotor) -> (f64, f64) {
 
 /// Whether an effect of the library was fitted in a model: of effects that cannot be told apart, some are.
 fn is_in(name: &str, extended: &Model) -> bool {
-    let effects = library(1.0, &[], &[]);
+    let effects = library(&[], &[]);
     effects.iter().filter(|e| e.name == name).flat_map(|e| &e.forms).any(|form| {
         form.sizes.iter().any(|s| extended.parameters.get(s.parameter) != 0.0)
             || coefficients(extended, &form.phased).iter().flatten().any(|c| *c != 0.0)
@@ -125,6 +125,7 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
     let rotor = &extended.parameters;
     let inertia = convert.parameters.rotor_inertia_kg_m2;
     let of = |p| rotor.get(p);
+    let driven_torque_nm = of(P::OnAcceleration) * inertia;
     let estimate = |parameter: &str| {
         diagnosis.effects.iter().find(|e| e.name == name).and_then(|e| e.parameters.get(parameter)).map(|p| p.value)
     };
@@ -152,7 +153,7 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
         "backlash" => vec![("gap_rad", of(P::Backlash))],
         "reversal-miscount" => vec![("counts", of(P::Miscount)), ("drift", of(P::MiscountDrift))],
         "stribeck-friction" => {
-            vec![("torque_nm", of(P::StribeckDeceleration) * inertia), ("speed_rad_s", of(P::StribeckSpeed))]
+            vec![("torque_nm", of(P::Stribeck) * driven_torque_nm), ("speed_rad_s", of(P::StribeckSpeed))]
         }
         "direction-asymmetry" => vec![
             ("gain", convert.voltage(of(P::AsymSpeed), &[1.0, -1.0]).ok_or(NOT_REACHED)?),

@@ -28,6 +28,7 @@ pub(in crate::library) fn effect(hypothesis: &Hypothesis, places: &[P]) -> Effec
         name: n.name.clone().into(),
         unit: n.unit.clone().into(),
         parameter,
+        of: None,
     });
     let (of, grows) = match hypothesis.acts_on {
         ActsOn::Speed => ("speed", "speed·(1 + c)"),

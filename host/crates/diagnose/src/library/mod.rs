@@ -125,6 +125,8 @@ pub struct Reported {
     pub unit: Cow<'static, str>,
     /// Where it lives.
     pub parameter: P,
+    /// What that is a share of.
+    pub of: Option<P>,
 }
 
 /// What an effect needs in the data before it can be judged.
@@ -235,19 +237,18 @@ const BEFORE_THE_PLANT: [(&str, &str, &str); 3] = [
 /// Names of all effects of a TWUM that can be found.
 pub fn known_effects() -> Vec<String> {
     let early = BEFORE_THE_PLANT.iter().map(|e| e.0.to_owned());
-    early.chain(library(1.0, &[], shipped_effects()).into_iter().map(|e| e.name.into_owned())).collect()
+    early.chain(library(&[], shipped_effects()).into_iter().map(|e| e.name.into_owned())).collect()
 }
 
 /// The sentence and the equation of an effect of the library, or of one of the `formulas`.
 pub fn says(name: &str, formulas: &[Arc<Hypothesis>]) -> Option<(String, String)> {
     let early = BEFORE_THE_PLANT.iter().find(|e| e.0 == name).map(|e| (e.1.to_owned(), e.2.to_owned()));
     let of = |e: Effect| (e.says.into_owned(), e.equation.into_owned());
-    early.or_else(|| library(1.0, &[], formulas).into_iter().find(|e| e.name == name).map(of))
+    early.or_else(|| library(&[], formulas).into_iter().find(|e| e.name == name).map(of))
 }
 
-/// The whole library. The rotor's acceleration under drive in rad/s² sets the scale of the searches over friction; `clock_errors` are the
-/// relative errors at which the PWM's line stands out in the records; `formulas` are the effects that are formulas.
-pub fn library(on_acceleration: f64, clock_errors: &[f64], formulas: &[Arc<Hypothesis>]) -> Vec<Effect> {
+/// The whole library. `clock_errors` are the relative errors at which the PWM's line stands out in the records; `formulas` are the effects that are formulas.
+pub fn library(clock_errors: &[f64], formulas: &[Arc<Hypothesis>]) -> Vec<Effect> {
     let known = vec![
         resonance_heating::effect(),
         frequency_settling::effect(),
@@ -261,7 +262,7 @@ pub fn library(on_acceleration: f64, clock_errors: &[f64], formulas: &[Arc<Hypot
         encoder_eccentricity::effect(),
         unequal_edges::effect(),
         clock_error::effect(clock_errors),
-        stribeck_friction::effect(on_acceleration),
+        stribeck_friction::effect(),
         supply_sag::effect(),
         run_in_wear::effect(),
         closed_loop::gravity_load(),
@@ -349,7 +350,7 @@ impl Effect {
 }
 
 fn reported(name: &'static str, unit: &'static str, parameter: P) -> Reported {
-    Reported { name: name.into(), unit: unit.into(), parameter }
+    Reported { name: name.into(), unit: unit.into(), parameter, of: None }
 }
 
 /// Why an effect cannot be judged from these runs, if it cannot.

@@ -67,8 +67,8 @@ pub enum P {
     ClockError,
     /// `unequal-edges`: excess of the high slots as a fraction of a pitch.
     EdgeOffset,
-    /// `stribeck-friction`: extra friction at rest over inertia in rad/s².
-    StribeckDeceleration,
+    /// `stribeck-friction`: extra friction at rest, as a share of what the contact has under drive.
+    Stribeck,
     /// `stribeck-friction`: Stribeck speed in rad/s.
     StribeckSpeed,
     /// `supply-sag`: relative speed lost at full duty.
@@ -174,7 +174,7 @@ impl P {
         P::AsymBrake,
         P::ClockError,
         P::EdgeOffset,
-        P::StribeckDeceleration,
+        P::Stribeck,
         P::StribeckSpeed,
         P::Sag,
         P::SagTime,

@@ -300,7 +300,7 @@ impl<'a> Simulation<'a> {
         if p.get(P::Sag) != 0.0 {
             longest = longest.min(0.25 * p.get(P::SagTime)).max(5e-4);
         }
-        if p.get(P::StribeckDeceleration) != 0.0 && self.speed.abs() < 3.0 * p.get(P::StribeckSpeed) {
+        if p.get(P::Stribeck) != 0.0 && self.speed.abs() < 3.0 * p.get(P::StribeckSpeed) {
             longest = longest.min(STRIBECK_S);
         }
         longest
@@ -449,7 +449,7 @@ impl<'a> Simulation<'a> {
 
     /// Friction that fades with speed, over inertia, against the motion.
     fn stribeck(&self, carried: bool, sign: f64) -> f64 {
-        let extra = self.p.get(P::StribeckDeceleration);
+        let extra = self.p.get(P::Stribeck) * self.p.get(P::OnAcceleration);
         if extra == 0.0 || !(carried || self.speed != 0.0) {
             return 0.0;
         }
