@@ -213,6 +213,35 @@ mod tests {
         bytes.iter().filter_map(|&byte| decoder.push(byte)).collect()
     }
 
+    fn widest_state() -> State {
+        let reversal = Reversal { rest_left: u16::MAX, limit_left: u16::MAX, position: i32::MIN };
+        let load =
+            Load { pushes: i32::MIN, doubt: u16::MAX, speed_ticks: u16::MAX, place_ticks: u16::MAX, edges: u16::MAX };
+        let rotor = Rotor {
+            count: i32::MIN,
+            place: i32::MIN,
+            speed: i32::MIN,
+            full_cw: i32::MIN,
+            full_ccw: i32::MIN,
+            braking: i32::MIN,
+            on: u16::MAX,
+            cw: u16::MAX,
+            held: u8::MAX,
+            since: u8::MAX,
+            driven: i32::MIN,
+            coasted: i32::MIN,
+            load,
+        };
+        State {
+            deviation: i32::MIN,
+            integral: i32::MIN,
+            previous_error: i32::MIN,
+            direction: Direction::Cw,
+            reversal,
+            rotor,
+        }
+    }
+
     /// Every variant, with each collection full of its widest values.
     fn device_messages() -> Vec<DeviceMessage> {
         let sample = ControlSample {
@@ -250,32 +279,6 @@ mod tests {
             mode: Mode::Fault,
             fault: Some(Fault::BootFromWatchdog),
         };
-        let reversal = Reversal { rest_left: u16::MAX, limit_left: u16::MAX, position: i32::MIN };
-        let load =
-            Load { pushes: i32::MIN, doubt: u16::MAX, speed_ticks: u16::MAX, place_ticks: u16::MAX, edges: u16::MAX };
-        let rotor = Rotor {
-            count: i32::MIN,
-            place: i32::MIN,
-            speed: i32::MIN,
-            full_cw: i32::MIN,
-            full_ccw: i32::MIN,
-            braking: i32::MIN,
-            on: u16::MAX,
-            cw: u16::MAX,
-            held: u8::MAX,
-            since: u8::MAX,
-            driven: i32::MIN,
-            coasted: i32::MIN,
-            load,
-        };
-        let state = State {
-            deviation: i32::MIN,
-            integral: i32::MIN,
-            previous_error: i32::MIN,
-            direction: Direction::Cw,
-            reversal,
-            rotor,
-        };
         std::vec![
             DeviceMessage::Hello(identity),
             DeviceMessage::Ack { of: u32::MAX },
@@ -297,7 +300,7 @@ mod tests {
             DeviceMessage::Control(ControlBlock {
                 first_tick: u64::MAX,
                 first_us: u64::MAX,
-                state,
+                state: widest_state(),
                 samples: core::iter::repeat_n(sample, BLOCK_SAMPLES).collect(),
             }),
             DeviceMessage::Status(status),

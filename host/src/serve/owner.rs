@@ -1,6 +1,11 @@
 //! The one thread that owns the board's port. It does what the command line does, with the same [`perform`]; pages hand it one
 //! thing to do at a time, and a terminal borrows the board (`link::loan`). A stop waits for nothing: it ends what is going on and is sent whatever the board says of itself.
 
+mod aside;
+mod words;
+
+pub use aside::Aside;
+
 use super::board::{Board, Doing, Ended};
 use super::holder::{HeldError, Holder};
 use super::series::{self, Failed, Task};
@@ -18,8 +23,9 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
-use twum_shared::message::{CaptureMode, Configuration, RunEnd};
+use twum_shared::message::{CaptureMode, Configuration};
 use twum_shared::step::ConfigSpec;
+use words::words_of;
 
 /// A command or a stop is seen within this time while nothing is going on.
 const SLICE: Duration = Duration::from_millis(5);
@@ -224,35 +230,6 @@ impl Owner {
         if let Some((asked, answer)) = last.answer {
             // Whoever asked may be gone.
             let _ = asked.send(answer);
-        }
-    }
-}
-
-/// Something beside the port that goes on alone, until it is dropped.
-pub struct Aside {
-    owner: Arc<Owner>,
-    ended: Option<Ended>,
-}
-
-impl Aside {
-    /// Whether it has to stop.
-    pub fn is_stopped(&self) -> bool {
-        self.owner.desk().aside == Some(true)
-    }
-
-    /// Tells of the end, when the next thing can be asked for and nothing else has been.
-    pub fn ends(mut self, ended: Ended) {
-        self.ended = Some(ended);
-    }
-}
-
-impl Drop for Aside {
-    fn drop(&mut self) {
-        // One step: what is set aside next must not be ended by this.
-        let mut desk = self.owner.desk();
-        desk.aside = None;
-        if let Some(ended) = self.ended.take() {
-            self.owner.board.ended(ended);
         }
     }
 }
@@ -500,94 +477,5 @@ impl Thread {
     }
 }
 
-/// Whether a run came to its end, and how it went.
-fn words_of(outcome: &Outcome) -> (bool, String) {
-    let end = outcome.cut().map_or_else(
-        || "completed".to_owned(),
-        |why| match why {
-            LinkError::Interrupted => "stopped".to_owned(),
-            other => other.to_string(),
-        },
-    );
-    let tally = outcome.tally;
-    let lost = if tally.is_lossless() {
-        "none lost".to_owned()
-    } else {
-        format!(
-            "{} LOST, {} bad, {} restarts, {} reconnects; the recording marks where",
-            tally.lost, tally.bad, tally.restarts, tally.reconnects
-        )
-    };
-    let ok = matches!(outcome.run.map(|run| run.end), Some(RunEnd::Completed)) && tally.is_lossless();
-    (ok, format!("{end}; {} frames recorded, {lost}", outcome.recorded))
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::sync::TryLockError;
-
-    /// Longer than a thread takes to come to a lock.
-    const COMES_TO_IT: Duration = Duration::from_millis(100);
-
-    fn owner() -> Arc<Owner> {
-        let stop = Box::leak(Box::new(AtomicBool::new(false)));
-        let board = Arc::new(Board::new("a port"));
-        Arc::new(Owner { desk: Mutex::default(), board, holder: Arc::default(), stop, quit: AtomicBool::new(false) })
-    }
-
-    fn ended(words: &str) -> Ended {
-        Ended { recording: None, ok: true, words: words.to_owned() }
-    }
-
-    /// What `ends` tells is told under the desk's lock: while the board's is held, nobody can come between.
-    fn is_told_and_free_as_one(owner: &Arc<Owner>, ends: impl FnOnce() + Send + 'static) {
-        let held = owner.board.held();
-        let telling = std::thread::spawn(ends);
-        std::thread::sleep(COMES_TO_IT);
-        assert!(matches!(owner.desk.try_lock(), Err(TryLockError::WouldBlock)), "free before the end is told");
-        drop(held);
-        telling.join().unwrap();
-        assert_eq!(owner.board.state().last, Some(ended("over")));
-    }
-
-    /// Fails when the end is told before the next thing can be asked for, or after somebody may have asked for it.
-    #[test]
-    fn an_end_is_told_when_the_next_thing_can_be_asked_for() {
-        let owner = owner();
-        let first = owner.ask(Command::Align).unwrap();
-        let (_, asked) = owner.take().unwrap();
-        assert!(owner.ask(Command::Align).is_err(), "it is busy");
-        let same = Arc::clone(&owner);
-        is_told_and_free_as_one(&owner, move || {
-            same.is_free_again(Last { ended: Some(ended("over")), answer: Some((asked, Ok(json!(true)))) });
-        });
-        assert_eq!(first.blocking_recv().unwrap(), Ok(json!(true)));
-
-        let aside = owner.set_aside().unwrap();
-        assert!(owner.set_aside().is_err(), "one thing at a time");
-        is_told_and_free_as_one(&owner, move || aside.ends(ended("over")));
-
-        // What is set aside next is not ended by what was before it: it can be stopped.
-        let next = owner.set_aside().unwrap();
-        let _answer = owner.stop();
-        assert!(next.is_stopped());
-    }
-
-    /// Fails when who asked is told "accepted" before the page shows what goes on.
-    #[test]
-    fn what_is_accepted_is_shown_first() {
-        let owner = owner();
-        let mut answer = owner.ask(Command::Align).unwrap();
-        let (_, asked) = owner.take().unwrap();
-        let held = owner.board.held();
-        let same = Arc::clone(&owner);
-        let beginning = std::thread::spawn(move || same.begins(Doing::new("aligning".to_owned()), asked));
-        std::thread::sleep(COMES_TO_IT);
-        assert!(answer.try_recv().is_err(), "accepted before it is shown");
-        drop(held);
-        beginning.join().unwrap();
-        assert!(answer.try_recv().unwrap().is_ok());
-        assert_eq!(owner.board.state().doing.unwrap().what, "aligning");
-    }
-}
+mod tests;

@@ -149,44 +149,16 @@ pub fn diagnose(
     measurements: &[Measurement],
     options: &Options,
     progress: &dyn Fn(&str, f64),
-) -> Result<(Diagnosis, Option<Details>), DiagnoseError> {
+) -> Result<Answered, DiagnoseError> {
     let total: usize = measurements.iter().map(|m| m.runs.len()).sum();
     if total == 0 {
         return Err(DiagnoseError::NoRuns("the folders hold no [[run]]".to_owned()));
     }
-    let inertial = measurements.iter().filter(|m| m.runs.iter().any(|r| r.format == Format::Drive)).count();
-    if inertial > 0 {
-        if inertial < measurements.len() {
-            return Err(DiagnoseError::Mixed(
-                "runs of an ordinary motor (format `drive`) and of a TWUM cannot be diagnosed together: name one kind of folder".to_owned(),
-            ));
-        }
-        if !options.formulas.is_empty() {
-            return Err(DiagnoseError::Mixed(
-                "an effect of one's own acts on a TWUM's wave or duty; these are runs of an ordinary motor (format `drive`)".to_owned(),
-            ));
-        }
-        let runs: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).collect();
-        let (diagnosis, outcome) = inertial::diagnose_drives(&runs, options, progress);
-        return Ok((diagnosis, outcome.map(|o| Details::Inertial(Box::new(o)))));
+    if let Some(answer) = ordinary(measurements, options, progress)? {
+        return Ok(answer);
     }
     let formulas = formulas(options)?;
-    let mut notes = Vec::new();
-    let mut runs = Vec::new();
-    for (part, m) in measurements.iter().enumerate() {
-        for run in &m.runs {
-            notes.extend(contradictions(run));
-            match observe(run, m.edges_per_rev) {
-                Ok(mut o) => {
-                    // Folders are taken in the order they are named.
-                    o.order = o.order.map(|k| k.saturating_add(1_000_000 * part as u32));
-                    runs.push(o);
-                }
-                Err(refusal) => notes.push(format!("{refusal}; left out")),
-            }
-        }
-    }
-    notes.extend(if measurements.len() == 1 { doubled_order(&runs) } else { None });
+    let (mut runs, mut notes) = observed(measurements);
     if options.quick {
         let before = runs.len();
         thin(&mut runs, 2);
@@ -237,6 +209,54 @@ pub fn diagnose(
     }
     let diagnosis = Diagnosis::new(&outcome, replicated, notes, options.seed);
     Ok((diagnosis, Some(Details::Runs { problem: outcome.problem.clone(), outcome: Box::new(outcome) })))
+}
+
+/// What is answered, with what it was found by.
+type Answered = (Diagnosis, Option<Details>);
+
+/// The answer on runs of an ordinary motor, where these are such.
+fn ordinary(
+    measurements: &[Measurement],
+    options: &Options,
+    progress: &dyn Fn(&str, f64),
+) -> Result<Option<Answered>, DiagnoseError> {
+    let inertial = measurements.iter().filter(|m| m.runs.iter().any(|r| r.format == Format::Drive)).count();
+    if inertial == 0 {
+        return Ok(None);
+    }
+    if inertial < measurements.len() {
+        return Err(DiagnoseError::Mixed(
+            "runs of an ordinary motor (format `drive`) and of a TWUM cannot be diagnosed together: name one kind of folder".to_owned(),
+        ));
+    }
+    if !options.formulas.is_empty() {
+        return Err(DiagnoseError::Mixed(
+            "an effect of one's own acts on a TWUM's wave or duty; these are runs of an ordinary motor (format `drive`)".to_owned(),
+        ));
+    }
+    let runs: Vec<&Run> = measurements.iter().flat_map(|m| &m.runs).collect();
+    let (diagnosis, outcome) = inertial::diagnose_drives(&runs, options, progress);
+    Ok(Some((diagnosis, outcome.map(|o| Details::Inertial(Box::new(o))))))
+}
+
+/// The runs of all folders that can be used, in the order that the folders are named, with what is to be said of the others.
+fn observed(measurements: &[Measurement]) -> (Vec<Observed>, Vec<String>) {
+    let mut notes = Vec::new();
+    let mut runs = Vec::new();
+    for (part, m) in measurements.iter().enumerate() {
+        for run in &m.runs {
+            notes.extend(contradictions(run));
+            match observe(run, m.edges_per_rev) {
+                Ok(mut o) => {
+                    o.order = o.order.map(|k| k.saturating_add(1_000_000 * part as u32));
+                    runs.push(o);
+                }
+                Err(refusal) => notes.push(format!("{refusal}; left out")),
+            }
+        }
+    }
+    notes.extend(if measurements.len() == 1 { doubled_order(&runs) } else { None });
+    (runs, notes)
 }
 
 /// Names of all effects that can be found, of TWUMs and of ordinary motors.
