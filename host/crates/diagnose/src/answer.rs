@@ -323,9 +323,9 @@ pub fn text(d: &Diagnosis) -> String {
     }
     for u in &d.unknown {
         line(format!(
-            "Left over       a term without physics over {} would still gain {:.1} % (p = {:.3}).",
+            "Left over       a term without physics over {} would still gain {} (p = {:.3}).",
             u.lives_in,
-            100.0 * u.gain_heldout,
+            gained(u.gain_heldout),
             u.p_null
         ));
     }
@@ -396,12 +396,17 @@ fn described(term: &DescribedAnswer) -> String {
     };
     let numbers: Vec<String> = largest.iter().take(2).map(number).collect();
     format!(
-        "Described       over {}: {}; {}. It gains {:.1} % on runs not fitted, and is no cause.",
+        "Described       over {}: {}; {}. It gains {} on runs not fitted, and is no cause.",
         term.coordinate,
         term.equation,
         numbers.join(", "),
-        100.0 * term.gain_heldout
+        gained(term.gain_heldout)
     )
+}
+
+/// A gain that is a loss helps nobody by its size.
+fn gained(share: f64) -> String {
+    if share > 0.0 { format!("{:.1} %", 100.0 * share) } else { "nothing".to_owned() }
 }
 
 fn unit(u: &str) -> &str {
