@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use twum_fit::noise::Noise;
 
 /// Linear gain in nats from which a form is refitted: a refit seldom finds more than another nat, and an effect costs three.
-const LEAST_LOOK: f64 = 2.0;
+pub(super) const LEAST_LOOK: f64 = 2.0;
 
 /// A form of an effect beside a set.
 pub(super) struct Candidate {
@@ -36,8 +36,8 @@ struct Laid {
 }
 
 impl Ground<'_> {
-    /// All forms of the effects `among` beside a set, weighed linearly: the two best forms of each, best effects first.
-    pub(super) fn candidates(&self, from: &Set, among: &[usize]) -> Vec<Candidate> {
+    /// All forms of the effects `among` beside a set, weighed linearly: the two best forms of each, best effects first, that bring `least` nats.
+    pub(super) fn candidates(&self, from: &Set, among: &[usize], least: f64) -> Vec<Candidate> {
         let (mut columns, base) = self.columns(&from.model, &from.parts);
         let own_columns = base.own_range();
         let forms = self.lay_out(from, among, &mut columns);
@@ -90,7 +90,7 @@ impl Ground<'_> {
                 c.values = values;
             }
         });
-        kept.retain(|c| c.gain > LEAST_LOOK);
+        kept.retain(|c| c.gain > least);
         kept.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         kept
     }

@@ -74,6 +74,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcom
     share_out(root, &standing.sets, accepted, ground, &mut findings);
     findings.extend(view.others(visited, accepted));
     let [structured, all] = [best.terms.last().map_or(best.weighed.left, |t| t.1), best.weighed.left];
+    let described = describe(ground, &scorer, accepted, &standing.judged.lives_in);
     // What is left without any structure is noise, whatever made it.
     let structureless = held_out.rmse(1) * (structured / all.max(1e-12)).sqrt();
     Outcome {
@@ -83,8 +84,8 @@ pub fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcom
         problem: ground.problem.clone(),
         baseline: root.model.clone(),
         extended: accepted.model.clone(),
-        unknown: left_over(ground, &scorer, &standing.judged, best),
-        described: describe(ground, &scorer, accepted, &standing.judged.lives_in),
+        unknown: left_over(ground, &scorer, &standing.judged, best, &described),
+        described,
         held_out,
         findings,
         not_judged: Vec::new(),
@@ -110,10 +111,7 @@ impl Standing {
             clear_lead: ALIKE,
             most_of_a_course: MOST_OF_A_COURSE,
             within_runs: &|e| matches!(ground.effects[e].coordinate, Coordinate::Start | Coordinate::Angle),
-            makes_course: &|e, lives_in| {
-                let mut terms = ground.terms.iter().filter(|t| t.lives_in == lives_in);
-                terms.any(|t| t.coordinates.contains(&ground.effects[e].coordinate))
-            },
+            makes_course: &|e, lives_in| ground.coordinates(lives_in).contains(&ground.effects[e].coordinate),
         };
         let mut sets = visited.to_vec();
         let mut struck: Vec<(usize, f64)> = Vec::new();
@@ -125,9 +123,9 @@ impl Standing {
                 break judged;
             }
             struck.extend(more.iter().map(|e| (*e, inclusion(&judged, *e))));
-            // What leant on them is judged anew without them, and what looks like them does not take their place.
-            let gone = |e: &usize| more.iter().any(|s| s == e || alike(*s, *e) && !judged.named.contains(e));
-            sets.retain(|s| !s.key().iter().any(gone));
+            // What leant on them is judged anew without them, and nothing takes their place that was not said beside them.
+            let stays = |e: &usize| judged.says(*e) && !more.contains(e);
+            sets.retain(|s| s.key().iter().all(stays));
         };
         if judged.named.is_empty() && judged.one_of.is_empty() && judged.lives_in.is_empty() {
             // Something is there, though none of the effects that were fitted says what.
@@ -362,13 +360,22 @@ fn share_out(root: &Set, sets: &[Set], accepted: &Set, ground: &Ground, findings
 }
 
 /// Terms without physics that the data ask for beside the best set, with what they would gain on runs that were not fitted.
-fn left_over(ground: &Ground, scorer: &Scorer, judged: &Judgement, best: &Set) -> Vec<Unknown> {
+fn left_over(
+    ground: &Ground,
+    scorer: &Scorer,
+    judged: &Judgement,
+    best: &Set,
+    described: &[Described],
+) -> Vec<Unknown> {
+    // Spreads of the gains are no columns: what they gain, their description says.
+    let as_described = |place: &str| described.iter().find(|d| d.coordinate == place).map_or(0.0, |d| d.gain);
+
     judged
         .lives_in
         .iter()
         .map(|(place, share)| {
             let term: Option<&Term> = ground.terms.iter().find(|t| t.lives_in == *place);
-            let gain = term.map_or(0.0, |t| term_gain(scorer, best, t));
+            let gain = term.map_or_else(|| as_described(place), |t| term_gain(scorer, best, t));
             Unknown { lives_in: place, gain, share: *share, p_null: super::verdict::LARGEST_P }
         })
         .collect()

@@ -1,7 +1,7 @@
 //! Terms without physics: where the model is wrong when no effect of the library says why.
 
 use super::design::{Basis, Column};
-use super::library::Coordinate;
+use super::library::{Coordinate, LEAST_TURNS};
 use super::problem::Problem;
 use twum_record::measurement::RunKind;
 
@@ -36,8 +36,7 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
     let runs = &problem.runs;
     let pulsed = runs.iter().any(|r| r.kind == RunKind::Track || r.duty.is_some_and(|d| d > 0.0 && d < 1.0));
     let levels = runs.iter().any(|r| r.level.iter().any(|l| *l != 0));
-    let turning = runs.iter().any(|r| r.revolutions() > 0.6);
-    let flexible = |bases: Vec<Basis>| bases.into_iter().map(Column::Flexible).collect::<Vec<_>>();
+    let turning = problem.most_turns() > LEAST_TURNS;
     let mut all = vec![
         Term {
             lives_in: "time",
@@ -55,36 +54,7 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
         },
     ];
     if pulsed {
-        all.push(Term {
-            lives_in: "PWM phase",
-            columns: flexible((0..8).map(|j| Basis::Phase(j, 8)).collect()),
-            coordinates: &[Coordinate::Pulse],
-            own: false,
-            harmonic: false,
-        });
-        all.push(Term {
-            lives_in: "PWM phase, from period to period",
-            columns: flexible(
-                [2, 3, 4].into_iter().flat_map(|n| [Basis::Periods(n, 0), Basis::Periods(n, 1)]).collect(),
-            ),
-            coordinates: &[],
-            own: false,
-            harmonic: false,
-        });
-        all.push(Term {
-            lives_in: "timing against the PWM",
-            columns: (0..6).map(|j| Column::Lag(j, 6)).collect(),
-            coordinates: &[Coordinate::Clock],
-            own: false,
-            harmonic: false,
-        });
-        all.push(Term {
-            lives_in: "the milliseconds after switching",
-            columns: switching(),
-            coordinates: &[Coordinate::Pulse],
-            own: false,
-            harmonic: false,
-        });
+        all.extend(of_pulses());
     }
     if levels {
         all.push(Term {
@@ -114,6 +84,46 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
         }));
     }
     all
+}
+
+/// The terms of a drive that is switched within the PWM period.
+fn of_pulses() -> [Term; 4] {
+    [
+        Term {
+            lives_in: "PWM phase",
+            columns: flexible((0..8).map(|j| Basis::Phase(j, 8)).collect()),
+            coordinates: &[Coordinate::Pulse],
+            own: false,
+            harmonic: false,
+        },
+        Term {
+            lives_in: "PWM phase, from period to period",
+            columns: flexible(
+                [2, 3, 4].into_iter().flat_map(|n| [Basis::Periods(n, 0), Basis::Periods(n, 1)]).collect(),
+            ),
+            coordinates: &[],
+            own: false,
+            harmonic: false,
+        },
+        Term {
+            lives_in: "timing against the PWM",
+            columns: (0..6).map(|j| Column::Lag(j, 6)).collect(),
+            coordinates: &[Coordinate::Clock],
+            own: false,
+            harmonic: false,
+        },
+        Term {
+            lives_in: "the milliseconds after switching",
+            columns: switching(),
+            coordinates: &[Coordinate::Pulse],
+            own: false,
+            harmonic: false,
+        },
+    ]
+}
+
+fn flexible(bases: Vec<Basis>) -> Vec<Column> {
+    bases.into_iter().map(Column::Flexible).collect()
 }
 
 /// Columns of the free speed in each of the first milliseconds after each switching.

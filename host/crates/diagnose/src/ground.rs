@@ -6,7 +6,7 @@ use super::discrepancy::{Term, terms};
 use super::evidence::{Question, independent};
 use super::form_error::FormError;
 use super::level::Level;
-use super::library::{Effect, Phased};
+use super::library::{Coordinate, Effect, Phased};
 use super::problem::{Model, Problem};
 use super::refit::{Free, columns_of, objective, refit};
 use super::rotor::Parameters;
@@ -48,6 +48,11 @@ impl<'a> Ground<'a> {
             independent,
             form_error: FormError::UNBOUNDED,
         }
+    }
+
+    /// Over what the library's effects act that show in a term's coordinate.
+    pub fn coordinates(&self, lives_in: &str) -> &'static [Coordinate] {
+        self.terms.iter().find(|t| t.lives_in == lives_in).map_or(&[], |t| t.coordinates)
     }
 
     /// What is free in a set: the baseline's own parameters and the effects'.

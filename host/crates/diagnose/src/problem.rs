@@ -117,6 +117,11 @@ impl Problem {
         duties.len()
     }
 
+    /// Revolutions made during the longest way of a run.
+    pub fn most_turns(&self) -> f64 {
+        self.runs.iter().map(Observed::revolutions).fold(0.0, f64::max)
+    }
+
     /// A model without run terms.
     pub fn model(&self, parameters: Parameters) -> Model {
         Model { parameters, terms: vec![RunTerms::default(); self.runs.len()] }

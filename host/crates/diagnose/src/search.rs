@@ -4,7 +4,7 @@
 //! effects are weighed linearly; those of the few best effects are refitted and join the pool. The search is bounded by counts.
 
 use super::baseline::{as_listed, at_speed, valleys};
-use super::candidate::free_of;
+use super::candidate::{LEAST_LOOK, free_of};
 use super::discrepancy::FREE_FORM_COST;
 use super::form_error::FormError;
 use super::ground::Ground;
@@ -13,6 +13,7 @@ use super::problem::Model;
 use super::refit::{coefficients, put_coefficients};
 use super::rotor::{P, Parameters};
 use super::set::{Part, Set, key, strip};
+use super::verdict::MOST_OF_A_COURSE;
 use twum_fit::noise::Noise;
 
 /// Most effects in a set.
@@ -59,6 +60,7 @@ impl Ground<'_> {
         let other = self.of_the_file(&mut pool);
         self.expand(&other, &self.usable, TRIED, true, &mut pool);
         self.each_alone(&other, &mut pool);
+        self.each_on_its_course(&mut pool);
         for turn in 0..=SWAPS {
             self.grow(&mut pool, turn, progress);
             let before = best(&pool).key();
@@ -188,6 +190,22 @@ impl Ground<'_> {
         }
     }
 
+    /// Effects that a course which each run has of its own may be, whatever they weigh: the phase of each run costs the evidence more than such a
+    /// course leaves in doubt.
+    fn each_on_its_course(&self, pool: &mut Vec<Set>) {
+        let root = pool[0].clone();
+        let beyond = root.courses.iter().filter(|c| c.share > MOST_OF_A_COURSE);
+        let coordinates: Vec<Coordinate> = beyond.flat_map(|c| self.coordinates(c.lives_in)).copied().collect();
+        let makes = |e: &&usize| coordinates.contains(&self.effects[**e].coordinate);
+        let unseen = |e: &&usize| pool.iter().all(|s| s.key() != [**e]);
+        let effects: Vec<usize> = self.usable.iter().filter(makes).filter(unseen).copied().collect();
+        for effect in effects {
+            if let Some(c) = self.candidates(&root, &[effect], f64::NEG_INFINITY).first() {
+                self.put(self.with(&root, c, &pool[0]), pool);
+            }
+        }
+    }
+
     /// The misfit of the best of `motors` refitted beside an effect that is as large as is plausible; `None` of one that has no size.
     fn held(&self, effect: usize, motors: &[Parameters], noise: Noise) -> Option<(f64, Part, Parameters)> {
         let common = |f: &&Form| !f.sizes.is_empty() && f.phased.is_empty();
@@ -295,7 +313,7 @@ impl Ground<'_> {
     fn expand(&self, from: &Set, among: &[usize], most: usize, again: bool, pool: &mut Vec<Set>) {
         let mut tried: Vec<(usize, usize)> = Vec::new();
         let mut brought = f64::NEG_INFINITY;
-        for c in &self.candidates(from, among) {
+        for c in &self.candidates(from, among, LEAST_LOOK) {
             if c.gain < brought - FAR_BEHIND {
                 break;
             }
@@ -369,7 +387,7 @@ impl Ground<'_> {
             let gap = self.weigh_set(parts, strip(&best.model, &gone), Some(&pool[0]));
             let mut seen = Vec::new();
             let mut others = 0;
-            for c in self.candidates(&gap, &self.usable) {
+            for c in self.candidates(&gap, &self.usable, LEAST_LOOK) {
                 if seen.contains(&c.effect) || c.effect == gone.effect {
                     continue;
                 }

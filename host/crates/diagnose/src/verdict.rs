@@ -23,6 +23,9 @@ pub const MOST_BESIDE: f64 = 0.4;
 /// Share of what is within runs that they may take, beyond chance, with courses of their own over time or angle where nothing is hidden:
 /// the sampling of edges has none. In 30 motors without an effect it was 0.032 at most (generators B, C and D).
 pub const MOST_OF_A_COURSE: f64 = 0.05;
+/// Share of what the strongest course takes from which the course of an effect is what there is to see: one over the time bends where it likes,
+/// so that it takes what one over the angle takes, and a little more by chance.
+pub const SAME_COURSE: f64 = 0.9;
 /// Nats that a spread of gains over duty, direction or order may cost against what is believed of it: beyond, something moves the gains
 /// that no effect of the set explains. 3.3 deviations, one in a thousand.
 const LARGEST_SPREAD: f64 = 5.5;
@@ -92,7 +95,7 @@ impl Judgement {
         key: impl Fn(&S) -> Vec<usize>,
         free: impl Fn(usize) -> bool,
     ) -> Option<&'a S> {
-        let said = |e: &usize| free(*e) || self.named.contains(e) || self.set_of(*e).is_some();
+        let said = |e: &usize| free(*e) || self.says(*e);
         let holds = |s: &S| {
             let key = key(s);
             let named = self.named.iter().filter(|e| key.contains(e)).count();
@@ -101,6 +104,11 @@ impl Judgement {
         let of_said = sets.iter().filter(|s| key(s).iter().all(said));
         // The first of equals is the best.
         of_said.reduce(|best, s| if holds(s) > holds(best) { s } else { best })
+    }
+
+    /// Whether an effect is named, or one of a set of rivals.
+    pub fn says(&self, effect: usize) -> bool {
+        self.named.contains(&effect) || self.set_of(effect).is_some()
     }
 
     /// The set of rivals that an effect is in.
@@ -195,7 +203,9 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
     let beside: f64 = lives_in.iter().map(|l| l.1).sum();
     // A cause that makes the runs differ by more than they did is none.
     let Visited { taus, belief, .. } = &sets[0];
-    let worse = (1..NAMES.len()).any(|k| belief[k] < -LARGEST_SPREAD && taus[k] > root.taus[k]);
+    let beyond_belief = (1..NAMES.len()).any(|k| belief[k] < -LARGEST_SPREAD && taus[k] > root.taus[k]);
+    let all = |set: &Visited| set.scattered.iter().sum::<f64>();
+    let worse = beyond_belief && all(&sets[0]) > all(root);
     let withheld = beside > MOST_BESIDE || worse && !named.is_empty();
     if withheld {
         named.clear();
@@ -228,11 +238,21 @@ fn sets_of_rivals(
 /// Where the runs have courses of their own that nothing explains, the effects that have such courses, likeliest first: the phase of each run
 /// costs the evidence of an effect more than these courses leave in doubt.
 fn course_of_effects(sets: &[Visited], background: &Background) -> Option<Vec<usize>> {
-    let course =
-        sets[0].courses.first().filter(|c| sets[0].terms.is_empty() && c.share > background.most_of_a_course)?;
-    let alone = sets.iter().filter(|s| s.key.len() == 1 && s.score.is_finite()).map(|s| s.key[0]);
-    let effects: Vec<usize> = alone.filter(|e| (background.makes_course)(*e, course.lives_in)).collect();
-    (!effects.is_empty()).then_some(effects)
+    let beyond_chance = sets[0].courses.first().is_some_and(|c| c.share > background.most_of_a_course);
+    if !sets[0].terms.is_empty() || !beyond_chance {
+        return None;
+    }
+    let alone: Vec<usize> = sets.iter().filter(|s| s.key.len() == 1 && s.score.is_finite()).map(|s| s.key[0]).collect();
+    let makers = makers_of(&sets[0].courses, &alone, background);
+    (!makers.is_empty()).then_some(makers)
+}
+
+/// Those of the effects that make the course that there is to see.
+fn makers_of(courses: &[Course], effects: &[usize], background: &Background) -> Vec<usize> {
+    let strongest = courses.first().map_or(0.0, |c| c.share);
+    let same = courses.iter().take_while(|c| c.share >= SAME_COURSE * strongest);
+    let makers = |c: &Course| effects.iter().copied().filter(|e| (background.makes_course)(*e, c.lives_in)).collect();
+    same.map(makers).find(|makers: &Vec<usize>| !makers.is_empty()).unwrap_or_default()
 }
 
 /// Named effects with what looks like them and is behind by no more than forms differ: rivals, whatever the probabilities.
@@ -271,6 +291,10 @@ fn left_without_cause(
         return lives_in;
     }
     let Some(course) = best.courses.first() else { return lives_in };
+    if !makers_of(&best.courses, causes, background).is_empty() {
+        // What is left over their own coordinate is a matter of their form.
+        return lives_in;
+    }
     if causes.is_empty() {
         lives_in.extend((course.share > background.most_of_a_course).then_some((course.lives_in, course.share)));
     } else if causes.iter().all(|e| (background.within_runs)(*e)) {
@@ -368,6 +392,35 @@ mod tests {
         };
         assert_eq!((of("angle").one_of, of("angle").lives_in), (vec![vec![1, 0]], vec![]));
         assert_eq!((of("time").one_of, of("time").lives_in), (vec![], vec![("time", 0.3)]));
+    }
+
+    /// Fails if a course over the time that takes hardly more than one over the angle hides the effects that go with the angle, or one that takes
+    /// more is theirs; or if what is left of a course of theirs is held against them.
+    #[test]
+    fn a_course_over_time_that_is_one_over_the_angle_is_the_angles() {
+        let of = |over_time: f64, after: f64| {
+            let [mut root, mut effect] = [set(&[], 100.0, 10.0), set(&[1], 99.9, 7.0)];
+            let angle = Course { lives_in: "angle", taken: 2.8, share: 0.28 };
+            root.courses = vec![Course { lives_in: "time", share: over_time, ..angle }, angle];
+            effect.courses = vec![Course { taken: 7.0 * after, share: after, ..angle }];
+            judged(&[root, effect])
+        };
+        assert_eq!((of(0.29, 0.02).one_of, of(0.29, 0.02).lives_in), (vec![vec![1]], vec![]));
+        assert_eq!(of(0.29, 0.2).one_of, [vec![1]]);
+        assert_eq!((of(0.4, 0.02).one_of, of(0.4, 0.02).lives_in), (vec![], vec![("time", 0.4)]));
+    }
+
+    /// Fails if a cause that takes most of what the runs differ by falls for a spread that only shows without it, or one stands that makes them
+    /// differ by more than they did.
+    #[test]
+    fn a_cause_may_not_make_the_runs_differ_by_more() {
+        let withheld = |over_duty: f64| {
+            let [mut best, mut root] = [set(&[0], 100.0, 10.0), set(&[], 0.0, 1000.0)];
+            (best.taus[4], best.belief[4], best.scattered[4]) = (0.05, -2.0 * LARGEST_SPREAD, 20.0);
+            root.scattered[1] = over_duty;
+            judged(&[best, root]).withheld
+        };
+        assert!(!withheld(400.0) && withheld(4.0));
     }
 
     /// Fails if a name stands beside gains that scatter with the order for more than what it explains, or falls for less.

@@ -10,7 +10,7 @@ pub(super) fn effect() -> Effect {
         says: "the encoder wheel is not centred: its angle errs once a turn, the same at every duty".into(),
         equation: "θ_measured = θ + Σ e_k·sin(kθ − φ_k)".into(),
         coordinate: Coordinate::Angle,
-        needs: &[Need::HalfATurn, Need::Edges],
+        needs: &[Need::ThirdOfATurn, Need::Edges],
         forms: vec![up_to(1), up_to(2), up_to(3), up_to(4)],
         reported: Vec::new(),
         conflicts: &["preload-runout"],

@@ -56,7 +56,7 @@ pub(in crate::library) fn effect(hypothesis: &Hypothesis, places: &[P]) -> Effec
 fn over(hypothesis: &Hypothesis) -> (Coordinate, &'static [Need]) {
     let on = |variable: &str| hypothesis.hangs_on().any(|v| v == variable);
     if on("turned_rad") {
-        (Coordinate::Angle, &[Need::HalfATurn])
+        (Coordinate::Angle, &[Need::ThirdOfATurn])
     } else if on("revolutions") {
         (Coordinate::Order, &[Need::Order])
     } else if on("time_s") || on("on_s") {

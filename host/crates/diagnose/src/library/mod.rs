@@ -129,6 +129,10 @@ pub struct Reported {
     pub of: Option<P>,
 }
 
+/// Turns within a run from which what goes with the angle is looked for: over a third of one a cosine bends away from a straight line by up to
+/// a quarter of its amplitude, and other runs turn less; over less each run has a slope, which anything makes.
+pub const LEAST_TURNS: f64 = 1.0 / 3.0;
+
 /// What an effect needs in the data before it can be judged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Need {
@@ -138,8 +142,8 @@ pub enum Need {
     PulsedDrive,
     /// Runs in both directions.
     BothDirections,
-    /// Runs of more than half a turn.
-    HalfATurn,
+    /// Runs of more than [`LEAST_TURNS`].
+    ThirdOfATurn,
     /// Closed-loop runs.
     ClosedLoop,
     /// Encoder edges with known levels.
@@ -368,9 +372,8 @@ pub fn not_judged(effect: &Effect, problem: &Problem) -> Option<String> {
                 let both = runs.iter().any(|r| r.direction > 0.0) && runs.iter().any(|r| r.direction < 0.0);
                 (!both && !any_track).then_some("needs runs in both directions")
             }
-            Need::HalfATurn => {
-                let turns = runs.iter().map(|r| r.revolutions()).fold(0.0, f64::max);
-                (turns < 0.6).then_some("needs runs of more than half a turn")
+            Need::ThirdOfATurn => {
+                (problem.most_turns() < LEAST_TURNS).then_some("needs runs of more than a third of a turn")
             }
             Need::ClosedLoop => (!any_track).then_some("needs closed-loop runs with reversals"),
             Need::Levels => {

@@ -19,7 +19,7 @@ pub(super) fn effect() -> Effect {
         says: "the drive changes with the rotor's angle: the preload is not the same all round".into(),
         equation: "drive·(1 + Σ a_k·cos(kθ − φ_k)), on the wave's speed, its torque or the friction".into(),
         coordinate: Coordinate::Angle,
-        needs: &[Need::HalfATurn],
+        needs: &[Need::ThirdOfATurn],
         forms: on_all.chain(on_speed).chain(on_torque).chain(on_friction).collect(),
         reported: Vec::new(),
         conflicts: &["encoder-eccentricity"],

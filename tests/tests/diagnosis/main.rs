@@ -1,6 +1,9 @@
 //! The diagnosis against data in which something, or nothing, is hidden: the thinned suite (the full one is the
 //! `detection` example), real data, and bad input.
 
+mod cases;
+mod loops;
+
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
@@ -15,9 +18,6 @@ use twum_host::record::measurement::{Direction, Format, LevelEdge, Measurement, 
 use twum_shared::Direction as Pin;
 use twum_tests::experiment::{Design, Sealed};
 use twum_tests::hidden::Hidden;
-use twum_tests::suite::Case;
-use twum_tests::tracking::{self, HiddenInLoop};
-use twum_tests::truth::Kind;
 use twum_tests::twins::twins;
 
 fn small() -> Design {
@@ -60,76 +60,6 @@ fn nothing_hidden_names_nothing() {
         let d = through_a_folder(&[], seed, &[]);
         assert_eq!(d.verdict, Verdict::None, "seed {seed}: {:?}", d.suspected());
     }
-}
-
-/// The answer on one of the generators' data sets, through a folder.
-fn of_a_case(generator: &str, kind: Kind, seed: u64) -> Diagnosis {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let at = folder.path().join("data");
-    let case = Case { generator: generator.to_owned(), kind, seed };
-    case.make().expect("it can be made").write(&at).expect("the folder can be written");
-    let measurement = Measurement::load(&at).expect("the folder can be read");
-    diagnose(&[measurement], &Options::default(), &|_, _| {}).expect("it can be diagnosed").0
-}
-
-/// A clock of three thousandths in runs of 3.35 s: half a PWM period of drift. Fails if it is looked for from no error alone.
-#[test]
-fn a_clock_is_found_that_drifts_by_half_a_period_beside_a_strong_settling() {
-    let d = of_a_case("d", Kind::Pair, 12_008);
-    assert!(["clock-error", "frequency-settling"].iter().all(|n| d.suspected().contains(n)), "{:?}", d.suspected());
-    let clock = &d.effects.iter().find(|e| e.name == "clock-error").expect("it is suspected").parameters;
-    assert!((clock["relative_clock_error"].value - 0.003).abs() < 1e-4, "{clock:?}");
-}
-
-/// Both of a pair are suspected, and nothing else is named.
-fn both_are_found(seed: u64, hidden: [&str; 2]) {
-    let d = of_a_case("d", Kind::Pair, seed);
-    assert!(hidden.iter().all(|n| d.suspected().contains(n)), "{seed}: {:?}", d.suspected());
-    assert!(d.named().iter().all(|n| hidden.contains(n)), "{seed}: {:?}", d.named());
-}
-
-/// A delay and a settling, of which a sag does more than either alone. Fails if no rival is tried in the place of one of two effects but what
-/// looks like it.
-#[test]
-fn a_pair_is_found_of_which_a_third_effect_does_more_than_each_alone() {
-    both_are_found(12_084, ["start-delay", "frequency-settling"]);
-}
-
-/// Fails if a better baseline forgets what was found beside the old one, or if 6 % of what a clock makes count as an error of its form beside a
-/// set that leaves 1 %.
-#[test]
-#[ignore = "takes long: .ci/run thorough"]
-fn thorough_a_pair_is_found_beside_a_clock_that_makes_nearly_all_of_the_error() {
-    both_are_found(12_067, ["clock-error", "preload-runout"]);
-}
-
-/// Fails if what comes and goes with the order of the runs is taken for chance.
-#[test]
-fn a_session_that_differs_is_unknown_over_the_order() {
-    let d = of_a_case("d", Kind::Outside, 12_003);
-    assert_eq!(d.verdict, Verdict::Unknown, "{:?}", d.suspected());
-    assert_eq!(d.unknown[0].lives_in, "order", "{:?}", d.unknown);
-}
-
-/// Fails if nobody looks at more than eight times a turn.
-#[test]
-#[ignore = "takes long: .ci/run thorough"]
-fn thorough_teeth_are_unknown_over_the_angle() {
-    let d = of_a_case("d", Kind::Outside, 12_001);
-    assert_eq!(d.verdict, Verdict::Unknown, "{:?}", d.suspected());
-    assert!(d.unknown[0].lives_in.starts_with("angle"), "{:?}", d.unknown);
-}
-
-/// One of seven runs, of a motor that coasts for seconds, is slow enough to show its friction. Fails when it is scored by what the
-/// others say of it: that missed it by 66 rpm, of a motor that makes 47, and called this the noise floor.
-#[test]
-#[ignore = "takes long: .ci/run thorough"]
-fn thorough_a_run_that_alone_shows_the_friction_is_fitted_and_not_scored() {
-    let d = of_a_case("c", Kind::Single, 8003);
-    let missed_rpm = d.baseline.scores.rmse_speed_rpm.expect("there are runs to score");
-    assert!(missed_rpm < 3.0, "{missed_rpm}");
-    let said = d.notes.iter().find(|note| note.contains("no other run shows")).expect("it is said");
-    assert!(said.contains("01-cw"), "{said}");
 }
 
 /// The averaged motor model driven for 1.2 s, its edges timed to a microsecond.
@@ -336,21 +266,6 @@ fn lost_words_are_found() {
     assert_eq!(d.named(), ["dropped-samples"], "{:?}", d.verdict);
 }
 
-/// A clock that is wrong, and lost words. Fails if samples are no longer looked for beside a clock that was found wrong.
-#[test]
-fn lost_words_are_found_beside_a_wrong_clock() {
-    both_are_found(12_065, ["clock-error", "dropped-samples"]);
-}
-
-/// Few words, which remove less than a twentieth of the error beside a grid of duties. Fails if a gain has to be larger than that though every
-/// choice among the runs gains by it.
-#[test]
-#[ignore = "takes long: .ci/run thorough"]
-fn thorough_few_lost_words_are_found_beside_another_effect() {
-    let d = of_a_case("d", Kind::Pair, 12_077);
-    assert!(d.suspected().contains(&"dropped-samples"), "{:?}", d.suspected());
-}
-
 /// Fails if a choice is made that the seed does not decide, or that hangs on how many threads share the work.
 #[test]
 fn equal_seeds_give_equal_answers() {
@@ -410,45 +325,6 @@ fn the_gear_motor_has_an_uneven_dead_zone() {
     let zone = d.effects.iter().find(|e| e.name == "dead-zone").expect("it was found");
     let threshold = &zone.parameters["threshold"];
     assert!((0.14..0.22).contains(&threshold.value), "{threshold:?}");
-}
-
-fn closed_loop(hidden: HiddenInLoop, seed: u64) -> Diagnosis {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    tracking::write(&tracking::sines(&hidden, seed), folder.path()).expect("the folder can be written");
-    answer(&folder.path().to_path_buf())
-}
-
-/// The loop hides model errors in position and quantisation makes others: neither may get a name.
-#[test]
-fn a_sound_closed_loop_names_nothing() {
-    for seed in 31..=33 {
-        let d = closed_loop(HiddenInLoop::default(), seed);
-        assert_eq!(d.verdict, Verdict::None, "seed {seed}: {:?}", d.suspected());
-    }
-}
-
-/// Fails if the controller is no longer held against its own law before the plant is blamed.
-#[test]
-fn a_late_or_wrong_controller_is_named() {
-    let d = closed_loop(HiddenInLoop { delay_ticks: 6, ..HiddenInLoop::default() }, 34);
-    assert_eq!(d.named(), ["loop-delay"], "{:?}", d.verdict);
-    assert_eq!(d.effects[0].parameters["ticks"].value, 6.0);
-    let d = closed_loop(HiddenInLoop { gain_error: [0.4, 0.0], ..HiddenInLoop::default() }, 35);
-    assert_eq!(d.named(), ["controller-mismatch"], "{:?}", d.verdict);
-    let effect = d.effects.iter().find(|e| e.name == "controller-mismatch").expect("it was named");
-    let kp = &effect.parameters["kp_relative"];
-    assert!((kp.value - 0.4).abs() < 0.02, "{kp:?}");
-}
-
-/// A gap and a count lost at each reversal look alike; counts gained always in the same sense do not.
-#[test]
-fn reversals_show_a_gap_or_a_miscount() {
-    let d = closed_loop(HiddenInLoop { gap_rad: 0.035, ..HiddenInLoop::default() }, 36);
-    let suspected = d.suspected();
-    assert!(suspected.contains(&"backlash"), "{:?} {suspected:?}", d.verdict);
-    assert!(suspected.iter().all(|n| ["backlash", "reversal-miscount"].contains(n)), "{suspected:?}");
-    let d = closed_loop(HiddenInLoop { drift: 1, ..HiddenInLoop::default() }, 37);
-    assert_eq!(d.named(), ["reversal-miscount"], "{:?} {:?}", d.verdict, d.suspected());
 }
 
 fn folder_with(toml: &str, csv: &str) -> tempfile::TempDir {
