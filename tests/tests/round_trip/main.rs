@@ -113,7 +113,10 @@ fn cases() -> Vec<Case> {
         ),
         case("duty-quantisation", "duty_steps", |v, _| 1.0 / v[0]),
         short(
-            ("form", "the search: 0.02 rad in runs of nine tenths of a turn are as good a runout, whose number is told"),
+            (
+                "form",
+                "the search: 0.02 rad in runs of nine tenths of a turn are as good a runout, whose number is told",
+            ),
             "encoder-eccentricity",
             "eccentricity_rad",
             |v, _| v[0],

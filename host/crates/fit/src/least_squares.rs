@@ -7,8 +7,8 @@ use nalgebra::{DMatrix, DVector};
 /// Steps at most: a search that is still moving then has lost its way.
 const STEPS_AT_MOST: usize = 20;
 
-/// Shares of a step that are tried.
-const SHORTER: [f64; 5] = [1.0, 0.4, 0.16, 0.064, 0.0256];
+/// Shares of a step that are tried: each four tenths of the one before.
+const SHORTER: [f64; 5] = [1.0, 0.4, 0.4 * 0.4, 0.4 * 0.4 * 0.4, 0.4 * 0.4 * 0.4 * 0.4];
 
 /// A point of the search.
 #[derive(Debug, Clone)]

@@ -130,7 +130,7 @@ pub struct Reported {
 }
 
 /// Turns within a run from which what goes with the angle is looked for: over a third of one a cosine bends away from a straight line by up to
-/// a quarter of its amplitude, and other runs turn less; over less each run has a slope, which anything makes.
+/// a quarter of its amplitude; over less each run has a slope of its own, which anything makes.
 pub const LEAST_TURNS: f64 = 1.0 / 3.0;
 
 /// What an effect needs in the data before it can be judged.
