@@ -195,7 +195,7 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
         }
     }
     let nothing_yet = named.is_empty() && one_of.is_empty();
-    let of_course = nothing_yet.then(|| course_of_effects(sets, background)).flatten().unwrap_or_default();
+    let of_course = if nothing_yet { course_of_effects(sets, background) } else { Vec::new() };
     one_of.extend((!of_course.is_empty()).then(|| of_course.clone()));
     let causes: Vec<usize> = named.iter().chain(one_of.iter().flatten()).copied().collect();
     let best = sets.iter().find(|s| of_course.iter().any(|e| s.key == [*e])).unwrap_or(&sets[0]);
@@ -237,14 +237,13 @@ fn sets_of_rivals(
 
 /// Where the runs have courses of their own that nothing explains, the effects that have such courses, likeliest first: the phase of each run
 /// costs the evidence of an effect more than these courses leave in doubt.
-fn course_of_effects(sets: &[Visited], background: &Background) -> Option<Vec<usize>> {
+fn course_of_effects(sets: &[Visited], background: &Background) -> Vec<usize> {
     let beyond_chance = sets[0].courses.first().is_some_and(|c| c.share > background.most_of_a_course);
     if !sets[0].terms.is_empty() || !beyond_chance {
-        return None;
+        return Vec::new();
     }
     let alone: Vec<usize> = sets.iter().filter(|s| s.key.len() == 1 && s.score.is_finite()).map(|s| s.key[0]).collect();
-    let makers = makers_of(&sets[0].courses, &alone, background);
-    (!makers.is_empty()).then_some(makers)
+    makers_of(&sets[0].courses, &alone, background)
 }
 
 /// Those of the effects that make the course that there is to see.
@@ -410,7 +409,7 @@ mod tests {
         assert_eq!((of(0.4, 0.02).one_of, of(0.4, 0.02).lives_in), (vec![], vec![("time", 0.4)]));
     }
 
-    /// Fails if a cause that takes most of what the runs differ by falls for a spread that only shows without it, or one stands that makes them
+    /// Fails if a cause that takes most of what the runs differ by falls for a spread that only shows beside it, or one stands that makes them
     /// differ by more than they did.
     #[test]
     fn a_cause_may_not_make_the_runs_differ_by_more() {

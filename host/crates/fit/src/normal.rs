@@ -134,8 +134,6 @@ pub fn solve(runs: &[Normal], pulls: &[Pull], precision: &[f64], damping: f64) -
 mod tests {
     use super::*;
 
-    const QUIET: Noise = Noise { variance: 1.0, gain_spread: 0.0 };
-
     /// Two runs over one slope, each with an offset of its own: y = 2·t + (1 or −3).
     fn runs() -> Vec<Normal> {
         [1.0, -3.0]
@@ -191,7 +189,7 @@ mod tests {
     fn a_gain_is_taken_out_as_far_as_it_scatters() {
         let x = [1.0, 2.0, 3.0];
         let y = [2.0, 4.0, 6.5];
-        let left = |gain_spread| Normal::new(1, &x, &y).without_gain(0, Noise { gain_spread, ..QUIET }).yy;
+        let left = |gain_spread| Normal::new(1, &x, &y).without_gain(0, Noise { gain_spread, ..Noise::PLAIN }).yy;
         // Least squares of y = a·x by hand: 62.25 − 29.5²/14.
         assert!((left(1e6) - (62.25 - 29.5 * 29.5 / 14.0)).abs() < 1e-6);
         assert_eq!(left(0.0), 62.25);

@@ -251,7 +251,8 @@ pub fn says(name: &str, formulas: &[Arc<Hypothesis>]) -> Option<(String, String)
     early.or_else(|| library(&[], formulas).into_iter().find(|e| e.name == name).map(of))
 }
 
-/// The whole library. `clock_errors` are the relative errors at which the PWM's line stands out in the records; `formulas` are the effects that are formulas.
+/// The whole library. `clock_errors` are the relative errors at which the PWM's line stands out in the records; `formulas` are the effects
+/// that are formulas.
 pub fn library(clock_errors: &[f64], formulas: &[Arc<Hypothesis>]) -> Vec<Effect> {
     let known = vec![
         resonance_heating::effect(),
