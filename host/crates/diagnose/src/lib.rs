@@ -256,6 +256,7 @@ fn observed(measurements: &[Measurement]) -> (Vec<Observed>, Vec<String>) {
         }
     }
     notes.extend(if measurements.len() == 1 { doubled_order(&runs) } else { None });
+    notes.extend(edges_of_no_rotor(&runs));
     (runs, notes)
 }
 
@@ -348,6 +349,17 @@ fn contradictions(run: &Run) -> Vec<String> {
         ));
     }
     out
+}
+
+/// Edges that follow each other faster than any rotor of these records turned.
+fn edges_of_no_rotor(runs: &[Observed]) -> Option<String> {
+    let counts = || runs.iter().map(|run| (run, run.impossible().len())).filter(|(_, n)| *n > 0);
+    let (first, total) = (counts().next()?.0, counts().map(|(_, n)| n).sum::<usize>());
+    Some(format!(
+        "{total} of the edges, the first in {}, follow the one before faster than this rotor turns: not compared. The encoder chatters there, or \
+         samples are lost",
+        first.id
+    ))
 }
 
 /// Two runs that claim the same place in the order.

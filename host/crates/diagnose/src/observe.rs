@@ -108,6 +108,21 @@ impl Observed {
         }
     }
 
+    /// Pairs of neighbouring edges, by their intervals, that no rotor of this record made: more than [`NO_ROTOR`] times as fast as nine in ten.
+    /// An encoder that chatters makes them, and a record that was joined where samples are lost.
+    pub fn impossible(&self) -> Vec<Window> {
+        if self.kind != RunKind::Speed || self.pitch == 0.0 {
+            return Vec::new();
+        }
+        // Each end may have been seen up to a sample late.
+        let fastest = |w: &Window| w.low.abs() / (self.duration(w) + 4.0 * self.half_sample_s());
+        let exact: Vec<&Window> = self.windows.iter().filter(|w| w.low == w.high).collect();
+        let mut speeds: Vec<f64> = exact.iter().map(|w| fastest(w)).collect();
+        speeds.sort_by(f64::total_cmp);
+        let Some(usual) = speeds.get(speeds.len() * 9 / 10) else { return Vec::new() };
+        exact.into_iter().filter(|w| fastest(w) > NO_ROTOR * usual).copied().collect()
+    }
+
     /// Compares over stretches of several edges where single intervals are short against the sampling, or against the PWM period.
     ///
     /// The times at both ends of an interval are uncertain, and so is its length, by which its residual is weighted: that bends a fit by
@@ -117,6 +132,8 @@ impl Observed {
         if self.kind != RunKind::Speed || self.pitch == 0.0 {
             return;
         }
+        let impossible = self.impossible();
+        self.windows.retain(|w| !impossible.contains(w));
         let exact: Vec<Window> = self.windows.iter().copied().filter(|w| w.low == w.high).collect();
         let (Some(first), Some(last)) = (exact.first(), exact.last()) else { return };
         let mean = (self.times[last.to] - self.times[first.from]) / exact.len() as f64;
@@ -171,6 +188,9 @@ impl Observed {
 /// Shortest window of a closed-loop run in s: where the rotor chatters on one edge, single crossings say nothing of its speed.
 const SHORTEST_S: f64 = 5e-3;
 
+/// Times the speed of nine in ten intervals that none can have: pulses show those in which the rotor is driven, and none is driven three times as
+/// fast as others.
+const NO_ROTOR: f64 = 3.0;
 /// Least mean length of what is compared, in half sampling periods.
 const WIDE: f64 = 24.0;
 /// Pieces of a PWM period in which exactly timed edges are compared: enough to see what happens within one.
@@ -399,6 +419,19 @@ mod tests {
             o.windows[0].low != o.windows[0].high
                 && o.windows[o.windows.len() - 1].high != o.windows[o.windows.len() - 1].low
         );
+    }
+
+    /// Fails if an edge that no rotor made is compared: one such interval outweighs all others.
+    #[test]
+    fn an_edge_that_no_rotor_made_is_not_compared() {
+        let mut o = sampled(20);
+        assert_eq!(o.impossible(), []);
+        let k = o.times.len() / 2;
+        o.times[k] = o.times[k - 1] + 1e-3;
+        let chatter = o.windows[k - 1];
+        assert_eq!((o.impossible(), o.windows.len()), (vec![chatter], o.times.len() - 1));
+        o.widen();
+        assert_eq!(o.windows.len(), o.times.len() - 2);
     }
 
     /// Fails if intervals that are long against the sampling are put together.
