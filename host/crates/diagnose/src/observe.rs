@@ -108,7 +108,7 @@ impl Observed {
         }
     }
 
-    /// Pairs of neighbouring edges, by their intervals, that no rotor of this record made: more than [`NO_ROTOR`] times as fast as nine in ten.
+    /// Pairs of neighbouring edges, by their intervals, that no rotor of this record made: more than three times as fast as nine in ten.
     /// An encoder that chatters makes them, and a record that was joined where samples are lost.
     pub fn impossible(&self) -> Vec<Window> {
         if self.kind != RunKind::Speed || self.pitch == 0.0 {
