@@ -70,14 +70,6 @@ fn thorough_a_rest_over_the_order_does_not_withhold_a_saturation() {
     both_are_found("e", 279, ["high-duty-saturation", "run-in-wear"]);
 }
 
-/// Six finely timed runs of a motor whose contact springs back within each pulse. Fails if the equation of the rotor is believed to better than
-/// that: a sag comes near it.
-#[test]
-fn a_contact_that_springs_back_is_no_cause() {
-    let d = of_a_case("e", Kind::Null, 277);
-    assert_eq!(d.verdict, Verdict::None, "{:?} {:?}", d.suspected(), d.unknown);
-}
-
 /// Fails if what comes and goes with the order of the runs is taken for chance.
 #[test]
 fn a_session_that_differs_is_unknown_over_the_order() {

@@ -136,14 +136,8 @@ impl Recomputed {
     /// in pieces, each held out in its turn.
     fn pieces(&self) -> Vec<RunDesign> {
         let of = |ticks: std::ops::Range<usize>| {
-            let mut design = RunDesign {
-                columns: COLUMNS,
-                x: Vec::new(),
-                y: Vec::new(),
-                weight: Vec::new(),
-                seconds: 0.0,
-                changes: 0.0,
-            };
+            let mut design =
+                RunDesign { columns: COLUMNS, x: Vec::new(), y: Vec::new(), weight: Vec::new(), seconds: 0.0 };
             for i in ticks {
                 design.x.push(1.0);
                 design.x.extend(self.delayed.iter().map(|delayed| delayed[i] - self.same[i]));

@@ -68,8 +68,6 @@ pub struct RunDesign {
     pub weight: Vec<f64>,
     /// Time compared in s; the mean squared residual is `Σy²/seconds`.
     pub seconds: f64,
-    /// What a second of delay would do to the windows, squared and summed: rpm²/s.
-    pub changes: f64,
 }
 
 impl Problem {
@@ -141,10 +139,7 @@ impl<'a> Linearised<'a> {
             }
         }
         let y = now.rpm.iter().zip(&weight).map(|(r, w)| r * w).collect();
-        let speed = &now.trajectory.speed;
-        let change = |w: &Window| (RPM * (speed[w.to] - speed[w.from])).powi(2) / run.duration(w).max(1e-6);
-        let changes = run.windows.iter().map(change).sum();
-        RunDesign { columns: width, x, y, weight, seconds: run.compared_s(), changes }
+        RunDesign { columns: width, x, y, weight, seconds: run.compared_s() }
     }
 
     fn residual(&self, i: usize, p: &Parameters, warmth: f64) -> RunResidual {

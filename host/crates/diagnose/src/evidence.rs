@@ -23,10 +23,6 @@ const INDEPENDENT_A_RUN: f64 = 8.0;
 /// Share of the speed below which no equation of the rotor is believed: the one of the search and the averaged model of the stator
 /// differ by 0.1 to 0.2 % of it where nothing is hidden.
 const MODEL_FLOOR: f64 = 0.005;
-/// Seconds below which no equation of the rotor is believed where the speed changes: contacts spring back and slip in ways that it leaves out.
-/// Of twelve motors without an effect in whose finely timed edges one was seen all the same, six or seven still were with 1e-4 and 1.5e-4, two
-/// with this (generator E); of 27 single effects two more were found and one no longer, of ten things outside the library two no longer.
-const MODEL_TIMING_S: f64 = 2e-4;
 /// Rounds of expectation–maximisation of noise and powers.
 const ROUNDS: usize = 6;
 
@@ -36,8 +32,6 @@ pub struct Equations {
     pub runs: Vec<Normal>,
     /// How many independent residuals they count as.
     pub independent: f64,
-    /// What a second of delay would do to all windows, squared and summed: rpm²/s.
-    pub changes: f64,
 }
 
 impl Equations {
@@ -52,8 +46,7 @@ impl Equations {
             })
             .collect();
         let rows = designs.iter().map(|d| d.y.len() as f64).sum();
-        let changes = designs.iter().map(|d| d.changes).sum();
-        Self { independent: independent(rows, designs.len()), runs, changes }
+        Self { independent: independent(rows, designs.len()), runs }
     }
 
     /// What more `columns` would take of the squared error, in rpm²·s, beside those `with`, and what there is without them; each run has
@@ -75,10 +68,9 @@ impl Equations {
         self.runs.iter().map(|r| r.g[(0, 0)]).collect()
     }
 
-    /// Squared error in rpm²·s that is none: what any equation misses of the speeds, and of when they change.
+    /// Squared error in rpm²·s that is none: what any equation misses of the speeds.
     pub fn floor(&self) -> f64 {
-        let speeds = self.squared_speeds().iter().sum::<f64>();
-        MODEL_FLOOR * MODEL_FLOOR * speeds + MODEL_TIMING_S * MODEL_TIMING_S * self.changes
+        MODEL_FLOOR * MODEL_FLOOR * self.squared_speeds().iter().sum::<f64>()
     }
 }
 
@@ -355,7 +347,7 @@ mod tests {
                 let t: Vec<f64> = (0..200).map(|k| f64::from(k) / 200.0).collect();
                 let x = t.iter().flat_map(|t| [10.0, 10.0 * t, 10.0 * t * t]).collect();
                 let y = t.iter().map(|t| sign * 10.0 * (gain + slope * t) + dice.random_range(-1.0..1.0)).collect();
-                RunDesign { columns: 3, x, y, weight: vec![1.0; 200], seconds: 200.0, changes: 0.0 }
+                RunDesign { columns: 3, x, y, weight: vec![1.0; 200], seconds: 200.0 }
             })
             .collect();
         Equations::new(&designs, 0..0, &vec![Vec::new(); 4])

@@ -121,7 +121,6 @@ impl Chance {
                     y: Vec::with_capacity(rows.len()),
                     weight: vec![1.0; rows.len()],
                     seconds: rows.len() as f64,
-                    changes: 0.0,
                 };
                 for k in rows {
                     d.x.push(now[i].rpm[k]);

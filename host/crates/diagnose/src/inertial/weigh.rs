@@ -138,7 +138,7 @@ pub fn weigh_plant(
     free: &[Free],
     without: Option<f64>,
 ) -> Evidence {
-    let equations = Equations { runs: equations(data, terms, plant, &free[1..]), independent, changes: 0.0 };
+    let equations = Equations { runs: equations(data, terms, plant, &free[1..]), independent };
     let base = Question { common: free[1..].iter().enumerate().map(|(k, f)| (k + 1, f.sd)).collect(), own: Vec::new() };
     let mut from = free.len();
     let at: Vec<std::ops::Range<usize>> = terms
