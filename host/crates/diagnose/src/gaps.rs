@@ -15,7 +15,7 @@ use twum_record::measurement::RunKind;
 const WORD: f64 = 32.0;
 /// Most words lost in one run that are looked for: a third of a second, which in most runs a wrong clock would have to err by some per cent for.
 const MOST: usize = 10;
-/// Most words lost at once: a driver's buffer is some words long.
+/// Most words lost at once: what is longer is two gaps beside each other.
 const AT_ONCE: usize = 3;
 
 /// What was found.
