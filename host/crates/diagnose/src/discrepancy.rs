@@ -3,7 +3,6 @@
 use super::design::{Basis, Column};
 use super::library::{Coordinate, LEAST_TURNS};
 use super::problem::Problem;
-use twum_record::measurement::RunKind;
 
 /// A smooth family of coefficients over one coordinate.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,7 +33,6 @@ const WANDER_KNOTS: usize = 16;
 /// The terms that these runs can show.
 pub fn terms(problem: &Problem) -> Vec<Term> {
     let runs = &problem.runs;
-    let pulsed = runs.iter().any(|r| r.kind == RunKind::Track || r.duty.is_some_and(|d| d > 0.0 && d < 1.0));
     let levels = runs.iter().any(|r| r.level.iter().any(|l| *l != 0));
     let turning = problem.most_turns() > LEAST_TURNS;
     let mut all = vec![
@@ -53,7 +51,7 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             harmonic: false,
         },
     ];
-    if pulsed {
+    if problem.pulsed() {
         all.extend(of_pulses());
     }
     if levels {

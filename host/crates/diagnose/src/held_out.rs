@@ -180,9 +180,8 @@ impl<'a> Scorer<'a> {
     fn refit_on(&self, problem: &Problem, model: &Model, parts: &[Part], set: &Set) -> Model {
         let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
         // Under full drive a rotor starts once and never stops: a turn of it says nothing of its friction.
-        let pulsed = problem.runs.iter().any(|r| r.kind == RunKind::Track || r.duty.is_some_and(|d| d < 1.0 - 1e-9));
         let mut free = self.ground.free(model, parts);
-        if !pulsed {
+        if !problem.pulsed() {
             free.truncate(1);
         }
         refit(problem, model.clone(), &free, &phased, self.ground.noise(set), 8)

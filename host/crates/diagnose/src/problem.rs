@@ -109,6 +109,11 @@ impl Problem {
         rank
     }
 
+    /// Whether a drive is switched within its PWM periods.
+    pub fn pulsed(&self) -> bool {
+        self.runs.iter().any(|r| r.kind == RunKind::Track || r.duty.is_some_and(|d| d > 0.0 && d < 1.0 - 1e-9))
+    }
+
     /// How many duties the open-loop runs have.
     pub fn duties(&self) -> usize {
         let mut duties: Vec<f64> = self.runs.iter().filter_map(|r| r.duty).collect();

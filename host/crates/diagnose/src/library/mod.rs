@@ -365,10 +365,7 @@ pub fn not_judged(effect: &Effect, problem: &Problem) -> Option<String> {
     let lacks = |need: &Need| -> Option<&'static str> {
         match need {
             Need::ThreeDuties => (problem.duties() < 3 && !any_track).then_some("needs at least three duties"),
-            Need::PulsedDrive => {
-                let pulsed = any_track || runs.iter().filter_map(|r| r.duty).any(|d| d > 0.0 && d < 1.0 - 1e-9);
-                (!pulsed).then_some("needs runs below full duty")
-            }
+            Need::PulsedDrive => (!problem.pulsed()).then_some("needs runs below full duty"),
             Need::BothDirections => {
                 let both = runs.iter().any(|r| r.direction > 0.0) && runs.iter().any(|r| r.direction < 0.0);
                 (!both && !any_track).then_some("needs runs in both directions")
