@@ -99,6 +99,10 @@ pub fn independent(rows: f64, runs: usize) -> f64 {
 pub struct Question {
     /// Common columns with the standard deviation of their coefficient.
     pub common: Vec<(usize, f64)>,
+    /// The same of columns whose coefficient runs of one kind share.
+    pub by_kind: Vec<(usize, f64)>,
+    /// Of which kind each run is, counted from 0; empty if there are no such columns.
+    pub kinds: Vec<usize>,
     /// Own columns; those of one group share their power.
     pub own: Vec<(usize, usize)>,
 }
@@ -107,6 +111,22 @@ impl Question {
     /// The columns from the first own one to the last.
     pub fn own_range(&self) -> std::ops::Range<usize> {
         self.own.first().map_or(0, |o| o.0)..self.own.last().map_or(0, |o| o.0 + 1)
+    }
+
+    /// The coefficients that all runs share and those of each kind: their columns in run `run`, where it has one, and standard deviations.
+    fn shared(&self, run: usize) -> impl Iterator<Item = (Option<usize>, f64)> {
+        let kind = self.kinds.get(run).copied();
+        let of_kind = move |k| self.by_kind.iter().map(move |c| ((kind == Some(k)).then_some(c.0), c.1));
+        self.common.iter().map(|c| (Some(c.0), c.1)).chain((0..self.kind_count()).flat_map(of_kind))
+    }
+
+    fn kind_count(&self) -> usize {
+        self.kinds.iter().max().map_or(0, |k| k + 1)
+    }
+
+    /// How many coefficients runs share.
+    fn shared_count(&self) -> usize {
+        self.common.len() + self.kind_count() * self.by_kind.len()
     }
 }
 
@@ -165,13 +185,13 @@ struct Reduced {
     power: Vec<f64>,
 }
 
-/// Integrates a run's own coefficients.
-fn reduce(run: &Normal, q: &Question, powers: &[f64], variance: f64) -> Reduced {
-    let rest: Vec<usize> = std::iter::once(0).chain(q.common.iter().map(|c| c.0)).collect();
-    let scale: Vec<f64> = std::iter::once(1.0).chain(q.common.iter().map(|c| c.1)).collect();
+/// Integrates the own coefficients of a run, the one of index `at`.
+fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) -> Reduced {
+    let (rest, scale): (Vec<Option<usize>>, Vec<f64>) = std::iter::once((Some(0), 1.0)).chain(q.shared(at)).unzip();
     let n = rest.len();
-    let mut g = DMatrix::from_fn(n, n, |i, j| run.g[(rest[i], rest[j])] * scale[i] * scale[j] / variance);
-    let mut b = DVector::from_fn(n, |i, _| run.b[rest[i]] * scale[i] / variance);
+    let both = |i: usize, j: usize| rest[i].zip(rest[j]).map_or(0.0, |columns| run.g[columns]);
+    let mut g = DMatrix::from_fn(n, n, |i, j| both(i, j) * scale[i] * scale[j] / variance);
+    let mut b = DVector::from_fn(n, |i, _| rest[i].map_or(0.0, |c| run.b[c]) * scale[i] / variance);
     let k = q.own.len();
     let mut out = Reduced {
         yy: run.yy / variance,
@@ -187,7 +207,9 @@ fn reduce(run: &Normal, q: &Question, powers: &[f64], variance: f64) -> Reduced 
         let m = DMatrix::from_fn(k, k, |i, j| {
             run.g[(q.own[i].0, q.own[j].0)] * sd[i] * sd[j] / variance + f64::from(u8::from(i == j))
         });
-        let link = DMatrix::from_fn(k, n, |i, j| run.g[(q.own[i].0, rest[j])] * sd[i] * scale[j] / variance);
+        let link = DMatrix::from_fn(k, n, |i, j| {
+            rest[j].map_or(0.0, |c| run.g[(q.own[i].0, c)]) * sd[i] * scale[j] / variance
+        });
         let r = DVector::from_fn(k, |i, _| run.b[q.own[i].0] * sd[i] / variance);
         if let Some(chol) = m.cholesky() {
             out.log_det = log_det(&chol);
@@ -289,15 +311,16 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
     let mut found = None;
     let mut common_freedom = None;
     for round in 0..ROUNDS {
-        let reduced: Vec<Reduced> = equations.runs.iter().map(|r| reduce(r, q, &powers, variance)).collect();
+        let reduced: Vec<Reduced> =
+            equations.runs.iter().enumerate().map(|(i, r)| reduce(r, i, q, &powers, variance)).collect();
         if start.spreads != Spreads::Stay && (round == 1 || round + 1 == ROUNDS) {
             let likely = |c: &DMatrix<f64>| {
-                join(&reduced, c, q.common.len()).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det))
+                join(&reduced, c, q.shared_count()).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det))
             };
             let anywhere = start.spreads == Spreads::Anywhere && round == 1;
             taus = if anywhere { level.best_of_all(taus, &likely) } else { level.best(taus, &likely) };
         }
-        let joint = join(&reduced, &level.covariance(&taus), q.common.len())?;
+        let joint = join(&reduced, &level.covariance(&taus), q.shared_count())?;
         // What gains and common columns take hardly changes from round to round.
         let taken = *common_freedom.get_or_insert_with(|| joint.freedom());
         let freedom = reduced.iter().map(|r| r.freedom).sum::<f64>() + taken;

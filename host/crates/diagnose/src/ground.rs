@@ -11,6 +11,7 @@ use super::problem::{Model, Problem};
 use super::refit::{Free, columns_of, objective, refit};
 use super::rotor::Parameters;
 use super::set::{Part, Set};
+use super::timing::{TIMING, alike, timing};
 use twum_fit::noise::Noise;
 
 /// What a search works on.
@@ -87,7 +88,7 @@ impl<'a> Ground<'a> {
         refit(self.problem, model, &free, &phased, noise, steps)
     }
 
-    /// Columns of a set: gain, other free parameters, phased pairs; and what is asked of them.
+    /// Columns of a set: gain, other free parameters, phased pairs, the timing of pulses; and what is asked of them.
     pub(super) fn columns(&self, model: &Model, parts: &[Part]) -> (Vec<Column>, Question) {
         let free = self.free(model, parts);
         let mut columns = columns_of(&free);
@@ -104,6 +105,12 @@ impl<'a> Ground<'a> {
                 columns.push(column);
             }
         }
-        (columns, Question { common, own })
+        let (mut by_kind, mut kinds) = (Vec::new(), Vec::new());
+        if self.problem.pulsed() {
+            by_kind.extend((columns.len()..).map(|c| (c, TIMING)).take(timing().len()));
+            columns.extend(timing());
+            kinds.extend(alike(self.problem));
+        }
+        (columns, Question { common, by_kind, kinds, own })
     }
 }

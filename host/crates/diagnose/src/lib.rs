@@ -57,6 +57,7 @@ pub mod saved;
 pub mod search;
 pub mod set;
 pub mod stats;
+pub mod timing;
 pub mod verdict;
 pub mod weighing;
 

@@ -59,15 +59,23 @@ pub fn diagnose_runs(
     };
     let (mut compared, baseline) = compare(&moved);
     let mut sets = searched(&compared, baseline, &moved);
-    if !matches!(moved, Some(Shifted::Lost(_))) && !sets[0].parts.is_empty() {
-        // Behind another effect's error they may not have shown; beside a clock that is known to be wrong, no clock does as well.
-        let clock = sets[0].model.parameters.get(P::ClockError) != 0.0;
-        let again = match moved {
-            _ if clock => lost(problem, &sets[0].model, settings).map(Shifted::Lost),
-            None => shifted(problem, &sets[0].model, home, settings),
-            Some(_) => None,
+    // Behind another effect's error they may not have shown, be it one that is not certain; or that error looked like them.
+    let with_effects = sets.iter().find(|s| !s.parts.is_empty());
+    if let Some(found) = with_effects.map(|s| &s.model) {
+        // Beside a clock that is known to be wrong, no clock does as well.
+        let clock = sets[0].parts.iter().any(|p| effects[p.effect].name == "clock-error");
+        let again = match &moved {
+            Some(Shifted::Lost(_)) if sets[0].parts.is_empty() => None,
+            Some(Shifted::Lost(before)) => {
+                let again = lost(problem, found, settings);
+                let same = again.as_ref().is_some_and(|again| again.lost == before.lost);
+                (!same).then(|| again.map(Shifted::Lost))
+            }
+            _ if clock => lost(problem, found, settings).map(|gaps| Some(Shifted::Lost(gaps))),
+            None => shifted(problem, found, home, settings).map(Some),
+            Some(Shifted::Clock(_)) => None,
         };
-        if again.is_some() {
+        if let Some(again) = again {
             moved = again;
             let baseline;
             (compared, baseline) = compare(&moved);

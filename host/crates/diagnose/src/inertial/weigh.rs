@@ -139,7 +139,8 @@ pub fn weigh_plant(
     without: Option<f64>,
 ) -> Evidence {
     let equations = Equations { runs: equations(data, terms, plant, &free[1..]), independent };
-    let base = Question { common: free[1..].iter().enumerate().map(|(k, f)| (k + 1, f.sd)).collect(), own: Vec::new() };
+    let base =
+        Question { common: free[1..].iter().enumerate().map(|(k, f)| (k + 1, f.sd)).collect(), ..Default::default() };
     let mut from = free.len();
     let at: Vec<std::ops::Range<usize>> = terms
         .0
