@@ -65,8 +65,8 @@ fn table(asked: &Asked) -> Result<(), String> {
     let Some(path) = &asked.docs else { return Ok(()) };
     let head = format!(
         "# How often the diagnosis finds what is hidden, and how often it errs\n\n\
-         Printed by `cargo run --release -p twum-tests --example suite -- --table DIR --write-docs` from {} data sets of generator {}, of seeds \
-         that nothing in the diagnosis was chosen on. Each data set is another motor, experiment and form of what is hidden, \
+         Printed by `cargo run --release -p twum-tests --example suite -- --table DIR --write-docs` from {} data sets of generator {}, \
+         of which [generators.md](generators.md) says what was chosen on it. Each data set is another motor, experiment and form of what is hidden, \
          diagnosed by `twum diagnose FOLDER` with its defaults and the shipped motor file. Intervals are 95 % Wilson intervals.\n\n",
         outcomes.len(),
         asked.generators.join(" and "),

@@ -11,8 +11,9 @@
 
 use super::design::RunDesign;
 use super::form_error::FORM_ERROR;
+use super::gaussian::{Said, Together, join, log_det};
 use super::level::{Level, Taus};
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use twum_fit::normal::Normal;
 
@@ -113,20 +114,16 @@ impl Question {
         self.own.first().map_or(0, |o| o.0)..self.own.last().map_or(0, |o| o.0 + 1)
     }
 
-    /// The coefficients that all runs share and those of each kind: their columns in run `run`, where it has one, and standard deviations.
-    fn shared(&self, run: usize) -> impl Iterator<Item = (Option<usize>, f64)> {
-        let kind = self.kinds.get(run).copied();
-        let of_kind = move |k| self.by_kind.iter().map(move |c| ((kind == Some(k)).then_some(c.0), c.1));
-        self.common.iter().map(|c| (Some(c.0), c.1)).chain((0..self.kind_count()).flat_map(of_kind))
-    }
-
-    fn kind_count(&self) -> usize {
-        self.kinds.iter().max().map_or(0, |k| k + 1)
+    /// The coefficients that run `run` shares with others: which they are of all such ones, their columns and standard deviations.
+    fn shared(&self, run: usize) -> impl Iterator<Item = (usize, usize, f64)> {
+        let of_its_kind = self.kinds.get(run).map_or(0, |kind| self.common.len() + kind * self.by_kind.len());
+        let common = self.common.iter().enumerate().map(|(k, c)| (k, c.0, c.1));
+        common.chain(self.by_kind.iter().enumerate().map(move |(k, c)| (of_its_kind + k, c.0, c.1)))
     }
 
     /// How many coefficients runs share.
     fn shared_count(&self) -> usize {
-        self.common.len() + self.kind_count() * self.by_kind.len()
+        self.common.len() + self.kinds.iter().max().map_or(0, |kind| (kind + 1) * self.by_kind.len())
     }
 }
 
@@ -176,8 +173,7 @@ pub enum Spreads {
 }
 
 struct Reduced {
-    g: DMatrix<f64>,
-    b: DVector<f64>,
+    said: Said,
     yy: f64,
     log_det: f64,
     freedom: f64,
@@ -187,11 +183,15 @@ struct Reduced {
 
 /// Integrates the own coefficients of a run, the one of index `at`.
 fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) -> Reduced {
-    let (rest, scale): (Vec<Option<usize>>, Vec<f64>) = std::iter::once((Some(0), 1.0)).chain(q.shared(at)).unzip();
+    let columns: Vec<(usize, usize, f64)> = q.shared(at).collect();
+    let rest: Vec<usize> = std::iter::once(0).chain(columns.iter().map(|c| c.1)).collect();
+    let scale: Vec<f64> = std::iter::once(1.0).chain(columns.iter().map(|c| c.2)).collect();
     let n = rest.len();
-    let both = |i: usize, j: usize| rest[i].zip(rest[j]).map_or(0.0, |columns| run.g[columns]);
-    let mut g = DMatrix::from_fn(n, n, |i, j| both(i, j) * scale[i] * scale[j] / variance);
-    let mut b = DVector::from_fn(n, |i, _| rest[i].map_or(0.0, |c| run.b[c]) * scale[i] / variance);
+    let said = Said {
+        g: DMatrix::from_fn(n, n, |i, j| run.g[(rest[i], rest[j])] * scale[i] * scale[j] / variance),
+        b: DVector::from_fn(n, |i, _| run.b[rest[i]] * scale[i] / variance),
+        shared: columns.iter().map(|c| c.0).collect(),
+    };
     let k = q.own.len();
     let mut out = Reduced {
         yy: run.yy / variance,
@@ -199,24 +199,21 @@ fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) 
         freedom: 0.0,
         own_quadratic: 0.0,
         power: vec![0.0; powers.len()],
-        g: DMatrix::zeros(0, 0),
-        b: DVector::zeros(0),
+        said,
     };
     if k > 0 {
         let sd: Vec<f64> = q.own.iter().map(|o| powers[o.1].sqrt()).collect();
         let m = DMatrix::from_fn(k, k, |i, j| {
             run.g[(q.own[i].0, q.own[j].0)] * sd[i] * sd[j] / variance + f64::from(u8::from(i == j))
         });
-        let link = DMatrix::from_fn(k, n, |i, j| {
-            rest[j].map_or(0.0, |c| run.g[(q.own[i].0, c)]) * sd[i] * scale[j] / variance
-        });
+        let link = DMatrix::from_fn(k, n, |i, j| run.g[(q.own[i].0, rest[j])] * sd[i] * scale[j] / variance);
         let r = DVector::from_fn(k, |i, _| run.b[q.own[i].0] * sd[i] / variance);
         if let Some(chol) = m.cholesky() {
             out.log_det = log_det(&chol);
             let z = chol.solve(&r);
             let inverse = chol.inverse();
-            g -= link.tr_mul(&chol.solve(&link));
-            b -= link.tr_mul(&z);
+            out.said.g -= link.tr_mul(&chol.solve(&link));
+            out.said.b -= link.tr_mul(&z);
             out.yy -= r.dot(&z);
             for (i, o) in q.own.iter().enumerate() {
                 out.power[o.1] += (z[i] * z[i] + inverse[(i, i)]) * sd[i] * sd[i];
@@ -225,79 +222,7 @@ fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) 
             out.own_quadratic = z.dot(&z);
         }
     }
-    out.g = g;
-    out.b = b;
     out
-}
-
-fn log_det(chol: &Cholesky<f64, Dyn>) -> f64 {
-    2.0 * chol.l_dirty().diagonal().iter().map(|d| d.max(1e-300).ln()).sum::<f64>()
-}
-
-/// The gains of all runs and the common coefficients as one Gaussian: the gains with covariance C, what the runs say of them the diagonal D
-/// and, with the common columns, H. It is worked out from M = 1 + √D·C·√D, for a decomposition of C itself costs as much again.
-struct Joint {
-    /// Log determinant of prior times precision.
-    log_det: f64,
-    /// What the expected values explain of the squared error, in units of the variance.
-    explained: f64,
-    /// Squared distance of the expected values from none, in units of their priors.
-    from_none: f64,
-    gains: DVector<f64>,
-    common: DVector<f64>,
-    of_gains: Cholesky<f64, Dyn>,
-    of_common: Cholesky<f64, Dyn>,
-    /// V·H and C⁻¹·V·H, V = (C⁻¹ + D)⁻¹ the covariance that the gains have with the data.
-    links: [DMatrix<f64>; 2],
-}
-
-fn join(runs: &[Reduced], covariance: &DMatrix<f64>, commons: usize) -> Option<Joint> {
-    let r = runs.len();
-    let root: Vec<f64> = runs.iter().map(|run| run.g[(0, 0)].max(0.0).sqrt()).collect();
-    let m = DMatrix::from_fn(r, r, |i, j| root[i] * covariance[(i, j)] * root[j] + f64::from(u8::from(i == j)));
-    let of_gains = m.cholesky()?;
-    let scaled = |mut x: DMatrix<f64>| {
-        for (mut row, root) in x.row_iter_mut().zip(&root) {
-            row *= *root;
-        }
-        x
-    };
-    // The first column is what the runs say of their gains, the others are H.
-    let said = DMatrix::from_fn(r, 1 + commons, |i, j| if j == 0 { runs[i].b[0] } else { runs[i].g[(0, j)] });
-    // C⁻¹·V = 1 − √D·M⁻¹·√D·C (Woodbury).
-    let pulled = &said - scaled(of_gains.solve(&scaled(covariance * &said)));
-    let spread = covariance * &pulled;
-    let links = [&spread, &pulled].map(|x| x.columns(1, commons).clone_owned());
-    let h = said.columns(1, commons);
-    let mut a = DMatrix::identity(commons, commons) - h.tr_mul(&links[0]);
-    let mut b = -h.tr_mul(&spread.column(0));
-    for run in runs {
-        a += run.g.view((1, 1), (commons, commons));
-        b += run.b.rows(1, commons);
-    }
-    let of_common = a.cholesky()?;
-    let common = of_common.solve(&b);
-    let gains = spread.column(0) - &links[0] * &common;
-    let from_none = gains.dot(&(pulled.column(0) - &links[1] * &common)) + common.dot(&common);
-    Some(Joint {
-        log_det: log_det(&of_gains) + log_det(&of_common),
-        explained: said.column(0).dot(&spread.column(0)) + b.dot(&common),
-        from_none,
-        gains,
-        common,
-        of_gains,
-        of_common,
-        links,
-    })
-}
-
-impl Joint {
-    /// How many numbers the data fix: one for each gain and column that the priors say nothing of beside them.
-    fn freedom(&self) -> f64 {
-        let dimension = (self.gains.len() + self.common.len()) as f64;
-        let through_common = self.of_common.solve(&self.links[0].tr_mul(&self.links[1])).trace();
-        dimension - self.of_gains.inverse().trace() - self.of_common.inverse().trace() - through_common
-    }
 }
 
 /// Integrates everything that is linear.
@@ -313,19 +238,21 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
     for round in 0..ROUNDS {
         let reduced: Vec<Reduced> =
             equations.runs.iter().enumerate().map(|(i, r)| reduce(r, i, q, &powers, variance)).collect();
+        let together = Together::new(reduced.iter().map(|r| &r.said), q.shared_count());
         if start.spreads != Spreads::Stay && (round == 1 || round + 1 == ROUNDS) {
-            let likely = |c: &DMatrix<f64>| {
-                join(&reduced, c, q.shared_count()).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det))
-            };
+            let likely =
+                |c: &DMatrix<f64>| join(&together, c).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det));
             let anywhere = start.spreads == Spreads::Anywhere && round == 1;
             taus = if anywhere { level.best_of_all(taus, &likely) } else { level.best(taus, &likely) };
         }
-        let joint = join(&reduced, &level.covariance(&taus), q.shared_count())?;
+        let covariance = level.covariance(&taus);
+        let joint = join(&together, &covariance)?;
+        let (gains, from_none) = joint.gains();
         // What gains and common columns take hardly changes from round to round.
         let taken = *common_freedom.get_or_insert_with(|| joint.freedom());
         let freedom = reduced.iter().map(|r| r.freedom).sum::<f64>() + taken;
         let quadratic = reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained;
-        let prior = joint.from_none + reduced.iter().map(|r| r.own_quadratic).sum::<f64>();
+        let prior = from_none + reduced.iter().map(|r| r.own_quadratic).sum::<f64>();
         let left = (quadratic - prior).max(0.0) * variance;
         let log = -0.5 * independent * variance.ln()
             - 0.5 * quadratic
@@ -338,7 +265,7 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
             variance,
             taus,
             belief: level.log_priors(&taus),
-            gains: joint.gains.as_slice().to_vec(),
+            gains: gains.as_slice().to_vec(),
             common: commons,
             powers: powers.clone(),
         });
@@ -376,6 +303,18 @@ mod tests {
         Equations::new(&designs, 0..0, &vec![Vec::new(); 4])
     }
 
+    /// Every second run errs the other way. Fails if runs of one kind do not share a coefficient, or if those of others have it too.
+    #[test]
+    fn a_kind_takes_what_its_runs_have_in_common() {
+        let level = Level::by_chance(4, 0.01);
+        let left = |kinds: [usize; 4]| {
+            let q = Question { by_kind: vec![(1, 1.0)], kinds: kinds.to_vec(), ..Default::default() };
+            let start = Start { variance: 1.0, taus: level.believed(), without: 0.0, spreads: Spreads::Stay };
+            weigh(&equations(0.0, 0.3), &level, &q, &start).expect("it can be solved").left
+        };
+        assert!(left([0, 1, 0, 1]) < 0.5 * left([0, 0, 1, 1]));
+    }
+
     /// Fails if a gain that differs between runs counts as a course of theirs, if chance does, or if a course is missed.
     #[test]
     fn a_course_is_neither_a_gain_nor_chance() {
@@ -386,58 +325,5 @@ mod tests {
         assert!(share(&equations(0.0, 0.0)).abs() < 0.01);
         assert!(share(&equations(0.5, 0.0)).abs() < 0.01);
         assert!(share(&equations(0.5, 0.3)) > 0.5);
-    }
-
-    /// Fails if what is worked out without a decomposition of the covariance is not what the whole precision says.
-    #[test]
-    fn gains_and_common_columns_are_one_gaussian() {
-        let (r, commons) = (4, 2);
-        let mut dice = rand_chacha::ChaCha8Rng::seed_from_u64(11);
-        let mut any =
-            |rows: usize, columns: usize| DMatrix::from_fn(rows, columns, |_, _| dice.random_range(-1.0..1.0));
-        let runs: Vec<Reduced> = (0..r)
-            .map(|_| {
-                let x = any(9, 1 + commons) * 3.0;
-                let (g, b) = (x.tr_mul(&x), any(1 + commons, 1).column(0).into_owned());
-                let power = Vec::new();
-                Reduced { g, b, yy: 1.0, log_det: 0.0, freedom: 0.0, own_quadratic: 0.0, power }
-            })
-            .collect();
-        let root = any(r, r) * 0.3;
-        let covariance = &root * root.transpose();
-        let joint = join(&runs, &covariance, commons).expect("it can be solved");
-
-        let n = r + commons;
-        let mut precision = DMatrix::zeros(n, n);
-        let mut b = DVector::zeros(n);
-        for (i, run) in runs.iter().enumerate() {
-            // The run's gain and the common coefficients among all of them.
-            let at: Vec<usize> = std::iter::once(i).chain(r..n).collect();
-            for (j, to) in at.iter().enumerate() {
-                b[*to] += run.b[j];
-                for (k, from) in at.iter().enumerate() {
-                    precision[(*to, *from)] += run.g[(j, k)];
-                }
-            }
-        }
-        let mut prior = DMatrix::identity(n, n);
-        prior.view_mut((0, 0), (r, r)).copy_from(&covariance);
-        let prior = prior.try_inverse().expect("it has full rank");
-        let posterior = (&prior + &precision).try_inverse().expect("it has full rank");
-        let expected = &posterior * &b;
-        let relative = &posterior * &prior;
-        let found = [joint.log_det, joint.explained, joint.from_none, joint.freedom()];
-        let direct = [
-            -relative.determinant().ln(),
-            b.dot(&expected),
-            expected.dot(&(&prior * &expected)),
-            n as f64 - relative.trace(),
-        ];
-        for (a, b) in found.into_iter().zip(direct) {
-            assert!((a - b).abs() < 1e-6 * b.abs(), "{found:?} {direct:?}");
-        }
-        for (a, b) in joint.gains.iter().chain(joint.common.iter()).zip(expected.iter()) {
-            assert!((a - b).abs() < 1e-6, "{a} {b}");
-        }
     }
 }

@@ -11,7 +11,7 @@ use super::problem::{Model, Problem};
 use super::refit::{Free, columns_of, objective, refit};
 use super::rotor::Parameters;
 use super::set::{Part, Set};
-use super::timing::{TIMING, alike, timing};
+use super::timing::{STEP_S, TIMING, TIMING_S, alike};
 use twum_fit::noise::Noise;
 
 /// What a search works on.
@@ -107,9 +107,14 @@ impl<'a> Ground<'a> {
         }
         let (mut by_kind, mut kinds) = (Vec::new(), Vec::new());
         if self.problem.pulsed() {
-            by_kind.extend((columns.len()..).map(|c| (c, TIMING)).take(timing().len()));
-            columns.extend(timing());
-            kinds.extend(alike(self.problem));
+            by_kind.extend(TIMING.map(|parameter| match free.iter().position(|f| f.parameter == parameter) {
+                Some(column) => (column, TIMING_S / free[column].scale),
+                None => {
+                    columns.push(Column::Scalar { parameter, scale: TIMING_S, step: STEP_S, shape: Vec::new() });
+                    (columns.len() - 1, 1.0)
+                }
+            }));
+            kinds.extend(alike(self.problem.runs.iter().map(|r| r.duty)));
         }
         (columns, Question { common, by_kind, kinds, own })
     }

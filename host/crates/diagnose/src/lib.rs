@@ -38,6 +38,7 @@ pub mod finding;
 pub mod form_error;
 pub mod formula;
 pub mod gaps;
+mod gaussian;
 pub mod ground;
 pub mod held_out;
 pub mod inertial;

@@ -63,7 +63,7 @@ pub fn diagnose_runs(
     let with_effects = sets.iter().find(|s| !s.parts.is_empty());
     if let Some(found) = with_effects.map(|s| &s.model) {
         // Beside a clock that is known to be wrong, no clock does as well.
-        let clock = sets[0].parts.iter().any(|p| effects[p.effect].name == "clock-error");
+        let clock = sets[0].parts.iter().any(|p| p.free.iter().any(|f| f.parameter == P::ClockError));
         let again = match &moved {
             Some(Shifted::Lost(_)) if sets[0].parts.is_empty() => None,
             Some(Shifted::Lost(before)) => {
