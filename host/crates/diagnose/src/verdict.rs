@@ -3,7 +3,7 @@
 //! Every number that decides is here, with its reason; what the evidence itself rests on is in [`super::evidence`],
 //! [`super::level`], [`super::search`] and the priors of the library.
 
-use super::level::{NAMES, Taus};
+use super::level::{LARGEST_SPREAD, NAMES, Taus};
 
 /// Least probability of a name: one wrong in twenty is what a person can live with.
 pub const NAMED: f64 = 0.95;
@@ -26,9 +26,6 @@ pub const MOST_OF_A_COURSE: f64 = 0.05;
 /// Share of what the strongest course takes from which the course of an effect is what there is to see: one over the time bends where it likes,
 /// so that it takes what one over the angle takes, and a little more by chance.
 pub const SAME_COURSE: f64 = 0.9;
-/// Nats that a spread of gains over duty, direction or order may cost against what is believed of it: beyond, something moves the gains
-/// that no effect of the set explains. 3.3 deviations, one in a thousand.
-const LARGEST_SPREAD: f64 = 5.5;
 /// Smallest held-out gain of what is found outside the evidence (lost samples, the controller, an ordinary motor); lost samples and ordinary
 /// motors' effects may bring less where the gain's interval speaks for them.
 pub const LEAST_GAIN: f64 = 0.05;
@@ -199,13 +196,19 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
     one_of.extend((!of_course.is_empty()).then(|| of_course.clone()));
     let causes: Vec<usize> = named.iter().chain(one_of.iter().flatten()).copied().collect();
     let best = sets.iter().find(|s| of_course.iter().any(|e| s.key == [*e])).unwrap_or(&sets[0]);
-    let lives_in = left_without_cause(best, root, &causes, background);
+    let mut lives_in = left_without_cause(best, root, &causes, background);
+    if causes.is_empty() && lives_in.is_empty() {
+        // What the best set explains is not explained where nothing of it is said.
+        let spreads = beyond_belief(root);
+        let all: f64 = spreads.iter().map(|s| s.1).sum();
+        lives_in.extend(spreads.into_iter().map(|(name, square)| (name, square / all)));
+    }
     let beside: f64 = lives_in.iter().map(|l| l.1).sum();
     // A cause that makes the runs differ by more than they did is none.
     let Visited { taus, belief, .. } = &sets[0];
-    let beyond_belief = (1..NAMES.len()).any(|k| belief[k] < -LARGEST_SPREAD && taus[k] > root.taus[k]);
+    let spread = (1..NAMES.len()).any(|k| belief[k] < -LARGEST_SPREAD && taus[k] > root.taus[k]);
     let all = |set: &Visited| set.scattered.iter().sum::<f64>();
-    let worse = beyond_belief && all(&sets[0]) > all(root);
+    let worse = spread && all(&sets[0]) > all(root);
     let withheld = beside > MOST_BESIDE || worse && !named.is_empty();
     if withheld {
         named.clear();
@@ -265,6 +268,12 @@ fn close_rivals(sets: &[Visited], named: &[usize], background: &Background) -> V
     pairs.filter(|(e, rival)| e != rival && (background.alike)(*e, *rival) && !named.contains(rival)).collect()
 }
 
+/// What whole runs differ by beyond what is believed of it, with its squared error.
+fn beyond_belief(set: &Visited) -> Vec<(&'static str, f64)> {
+    let beyond = |k: &usize| set.belief[*k] < -LARGEST_SPREAD && set.taus[*k] > 0.01;
+    (0..NAMES.len()).filter(beyond).map(|k| (NAMES[k], set.scattered[k])).collect()
+}
+
 /// Where something lives that the causes do not explain, with the share of all removed squared error that it would remove.
 fn left_without_cause(
     best: &Visited,
@@ -273,9 +282,7 @@ fn left_without_cause(
     background: &Background,
 ) -> Vec<(&'static str, f64)> {
     let after = best.terms.last().map_or(best.left, |t| t.1);
-    let beyond = |k: &usize| best.belief[*k] < -LARGEST_SPREAD && best.taus[*k] > 0.01;
-    let spreads: Vec<(&'static str, f64)> =
-        (0..NAMES.len()).filter(beyond).map(|k| (NAMES[k], best.scattered[k])).collect();
+    let spreads = beyond_belief(best);
     let by_spreads: f64 = spreads.iter().map(|s| s.1).sum();
     let removed = (root.left - after + best.by_gains + by_spreads).max(1e-12);
     let mut before = best.left;
@@ -410,6 +417,19 @@ mod tests {
     }
 
     /// Fails if a cause that takes most of what the runs differ by falls for a spread that only shows beside it, or one stands that makes them
+    /// Fails if nothing is said of motors whose runs differ by what is not believed, because a set that is not certain explains it.
+    #[test]
+    fn what_no_set_says_is_left_over() {
+        let lives_in = |lead: f64| {
+            let [mut uncertain, mut root] = [set(&[0], lead, 9.0), set(&[], 0.0, 9.0)];
+            uncertain.scattered[1] = 10.0;
+            (root.taus[1], root.belief[1], root.scattered[1]) = (0.06, -2.0 * LARGEST_SPREAD, 40.0);
+            judged(&[uncertain, root]).lives_in.iter().map(|l| l.0).collect::<Vec<_>>()
+        };
+        assert_eq!(lives_in(1.0), ["duty"]);
+        assert!(lives_in(20.0).is_empty());
+    }
+
     /// differ by more than they did.
     #[test]
     fn a_cause_may_not_make_the_runs_differ_by_more() {
