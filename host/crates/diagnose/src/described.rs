@@ -86,16 +86,26 @@ impl View<'_> {
             (0..fit.values.len()).map(one).collect()
         };
         Some(match *term.columns.first()? {
-            Column::Flexible(Basis::Time(_, n)) => {
+            Column::Flexible(basis @ (Basis::Time(_, n) | Basis::Heading(_, n) | Basis::Reversed(_, n))) => {
                 let times: Vec<f64> = (0..n).map(|k| longest_s * k as f64 / (n - 1).max(1) as f64).collect();
-                let fit = fit.about_its_mean(&ends_half(n));
+                // What all runs have on average, the free speed is; what those of one kind have is theirs.
+                let (fit, form, whose) = match basis {
+                    Basis::Heading(..) => (fit, "speed·(1 ± Σ c_k·hat_k(t))", "+ cw and − ccw"),
+                    Basis::Reversed(..) => {
+                        (fit, "speed·(1 + Σ c_k·hat_k(t))", "in runs that go another way than the one before")
+                    }
+                    _ => (fit.about_its_mean(&ends_half(n)), "speed·(1 + Σ c_k·hat_k(t))", "0 on average"),
+                };
+                let knots = times.iter().map(|t| short(*t)).collect::<Vec<_>>().join(", ");
+                let points = times.iter().zip(fit.values.iter()).map(|(t, c)| [*t, *c]).collect();
                 Said {
-                    equation: format!(
-                        "speed·(1 + Σ c_k·hat_k(t)), knots at {} s, 0 on average",
-                        times.iter().map(|t| short(*t)).collect::<Vec<_>>().join(", ")
-                    ),
+                    equation: format!("{form}, knots at {knots} s, {whose}"),
                     parameters: estimate(&|k| format!("at_{}_s", short(times[k])), "1", 1.0, &fit),
-                    curve: Curve::Time(times.iter().zip(fit.values.iter()).map(|(t, c)| [*t, *c]).collect()),
+                    curve: match basis {
+                        Basis::Heading(..) => Curve::TimeAndDirection(points),
+                        Basis::Reversed(..) => Curve::Elsewhere,
+                        _ => Curve::Time(points),
+                    },
                 }
             }
             Column::Flexible(Basis::Phase(_, n)) => {
@@ -224,6 +234,7 @@ fn short(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cycles::cycles;
     use crate::observe::observe;
     use crate::problem::Problem;
     use crate::{Options, starting_rotor};
@@ -259,7 +270,8 @@ mod tests {
         let runs: Vec<_> = (0..8).map(run).collect();
         let rotor = starting_rotor(&runs, &Options::default());
         let problem = Problem::new(runs).widened();
-        let ground = Ground::new(&problem, rotor.clone(), &[], Vec::new());
+        let mut ground = Ground::new(&problem, rotor.clone(), &[], Vec::new());
+        ground.terms.extend(cycles(&problem, &rotor));
         let root = ground.root(problem.model(rotor));
         let scorer = Scorer::new(&ground, &root, 1);
         let mut all = describe(&ground, &scorer, &root, &[(place, 1.0)]);
@@ -292,6 +304,35 @@ mod tests {
         let Curve::Angle(orders) = together.curve else { panic!("{together:?}") };
         assert!(orders.len() == 1 && orders[0][0] == 3.0, "{orders:?}");
         assert!((orders[0][1] - 0.05).abs() < 0.005 && (orders[0][2] - 0.4).abs() < 0.1, "{orders:?}");
+    }
+
+    /// Fails if what comes at a rate of its own is told at another one, with another size, or in the other coordinate's words.
+    #[test]
+    fn what_comes_at_a_rate_of_its_own_is_told_by_it() {
+        let cage = described(
+            &|k, _, _, angle| 0.05 * (2.58 * angle - 1.7 * k as f64).cos(),
+            "angle, no whole number of times a turn",
+        );
+        let Curve::Angle(orders) = &cage.curve else { panic!("{cage:?}") };
+        assert!(orders.len() == 1 && (orders[0][0] - 2.58).abs() < 0.1, "{orders:?}");
+        let told = &cage.parameters[0];
+        assert!(cage.gain > 0.5 && told.interval[0] < 0.05 && 0.05 < told.interval[1], "{cage:?}");
+        let hum =
+            described(&|k, _, t, _| 0.05 * (TAU * 3.3 * t - 1.7 * k as f64).cos(), "time, so many cycles a second");
+        let Curve::Cycle(cycles) = &hum.curve else { panic!("{hum:?}") };
+        assert!(cycles.len() == 1 && (cycles[0][0] - 3.3).abs() < 0.1 && hum.gain > 0.5, "{hum:?}");
+        assert!(hum.equation.contains("·2πt"), "{}", hum.equation);
+    }
+
+    /// Fails if a course of one direction is told of both, or as its mean alone.
+    #[test]
+    fn a_course_over_the_time_of_one_direction_is_told_with_its_sign() {
+        let d = described(&|_, sign, t, _| 0.04 * sign * (t / 2.5), "direction, over the time");
+        for (time, expected) in [("at_0.833_s", 0.0133), ("at_2.5_s", 0.04)] {
+            assert_holds(number(&d, time), expected);
+        }
+        assert!(matches!(&d.curve, Curve::TimeAndDirection(points) if points.len() == 4), "{d:?}");
+        // Every run but the first goes another way than the one before: nothing is told of that.
     }
 
     /// Fails if a course that all runs share is told wrongly, or with the speed as a whole in it.

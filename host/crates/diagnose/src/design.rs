@@ -1,6 +1,6 @@
 //! The residuals' derivatives: by parameters, by what belongs to single runs, over functions without physics.
 
-use super::observe::{Observed, Window};
+use super::observe::Window;
 use super::problem::{Model, Problem, RPM, RunResidual};
 use super::rotor::{P, Parameters, RunTerms, Trajectory, effective_duty, placed};
 use rayon::prelude::*;
@@ -48,8 +48,14 @@ pub enum Basis {
     Periods(u8, u8),
     /// The sign of the slot a window begins with, where it ends with one of the other kind.
     Slot,
-    /// `cos` (even) or `sin` (odd) of harmonic `k/2 + 1` of the measured angle.
-    Angle(usize),
+    /// The cosine (0) or the sine (1) of so many times the measured angle.
+    Angle(f64, u8),
+    /// The cosine (0) or the sine (1) of so many cycles a second, averaged over the window.
+    Cycle(f64, u8),
+    /// Hat `k` of `n` over the time since the start of the drive, with the sign of the direction.
+    Heading(usize, usize),
+    /// The same hat, in the runs that go another way than the run before.
+    Reversed(usize, usize),
     /// The free speed, in millisecond `k` after each rise of the drive or (`false`) each fall: what the rotor equation leaves out of
     /// the wave's coming and going.
     AfterSwitching(bool, usize),
@@ -88,6 +94,8 @@ struct Linearised<'a> {
     moved: Vec<Option<Moved>>,
     /// The longest drive (s).
     longest_s: f64,
+    /// Which runs go another way than the one before.
+    reversed: Vec<bool>,
 }
 
 /// A parameter moved by a step, with the warmth that the runs then start with.
@@ -124,6 +132,7 @@ impl<'a> Linearised<'a> {
             warmth: problem.warmth(&model.parameters),
             moved: columns.iter().map(moved).collect(),
             longest_s: problem.runs.iter().map(|r| r.drive_end).fold(0.0, f64::max).max(1e-6),
+            reversed: problem.reversed(),
         }
     }
 
@@ -168,7 +177,7 @@ impl<'a> Linearised<'a> {
             Column::Lag(j, n) => {
                 let [step_s, unit_s] = LATER_S;
                 let later = self.residual(i, &p.with(P::Latency, p.get(P::Latency) + step_s), self.warmth[i]);
-                let at = run.windows.iter().map(|w| hat(*j, *n, middle(&run.times, w) / self.longest_s));
+                let at = run.windows.iter().map(|w| hat(*j, *n, w.middle(&run.times) / self.longest_s));
                 change(now, &later, unit_s / step_s).into_iter().zip(at).map(|(change, at)| change * at).collect()
             }
             Column::Eccentricity(_) => {
@@ -185,7 +194,7 @@ impl<'a> Linearised<'a> {
                 change(now, &self.problem.run_residual(i, &shaped, &terms, self.warmth[i]), 1.0 / step)
             }
             Column::Flexible(basis) => {
-                let of = |(w, predicted): (&Window, &f64)| self.flexible(run, *basis, w, *predicted);
+                let of = |(w, predicted): (&Window, &f64)| self.flexible(i, *basis, w, *predicted);
                 run.windows.iter().zip(&now.predicted).map(of).collect()
             }
         }
@@ -240,8 +249,9 @@ impl<'a> Linearised<'a> {
     }
 
     /// What a function without physics adds to a window whose predicted speed is `predicted` (rpm).
-    fn flexible(&self, run: &Observed, basis: Basis, w: &Window, predicted: f64) -> f64 {
-        let time_s = middle(&run.times, w);
+    fn flexible(&self, i: usize, basis: Basis, w: &Window, predicted: f64) -> f64 {
+        let run = &self.problem.runs[i];
+        let time_s = w.middle(&run.times);
         let period_s = 1.0 / run.pwm_hz;
         let between = [run.times[w.from], run.times[w.to]];
         let duration_s = run.duration(w).max(1e-6);
@@ -249,20 +259,16 @@ impl<'a> Linearised<'a> {
             * match basis {
                 Basis::Time(j, n) => hat(j, n, time_s / self.longest_s),
                 Basis::Phase(j, n) => cyclic_hat(j, n, time_s / period_s),
-                Basis::Periods(n, quarter) => {
-                    let turn = |t: f64| TAU * t / (f64::from(n) * period_s) - FRAC_PI_2 * f64::from(quarter);
-                    let [from, to] = between.map(turn);
-                    // The mean of the cosine.
-                    (to.sin() - from.sin()) / (to - from).max(1e-9)
-                }
+                Basis::Periods(n, quarter) => mean_cosine(between, 1.0 / (f64::from(n) * period_s), quarter),
+                Basis::Cycle(hz, quarter) => mean_cosine(between, hz, quarter),
+                Basis::Heading(j, n) => run.direction * hat(j, n, time_s / self.longest_s),
+                Basis::Reversed(_, _) if !self.reversed[i] => 0.0,
+                Basis::Reversed(j, n) => hat(j, n, time_s / self.longest_s),
                 Basis::Slot => {
                     let slots = f64::from(run.level[w.from] - run.level[w.to]);
                     return run.direction * 0.5 * slots * run.pitch / duration_s * RPM;
                 }
-                Basis::Angle(j) => {
-                    let h = (j / 2 + 1) as f64 * middle(&run.angles, w);
-                    if j % 2 == 0 { h.cos() } else { h.sin() }
-                }
+                Basis::Angle(order, quarter) => (order * w.middle(&run.angles) - FRAC_PI_2 * f64::from(quarter)).cos(),
                 Basis::AfterSwitching(rise, j) => {
                     let p = &self.model.parameters;
                     let share = run.schedule.share_after_switching(between, rise, 1e-3 * j as f64, p);
@@ -272,9 +278,10 @@ impl<'a> Linearised<'a> {
     }
 }
 
-/// Half way from a window's beginning to its end.
-fn middle(of: &[f64], w: &Window) -> f64 {
-    0.5 * (of[w.from] + of[w.to])
+/// The mean over some time of the cosine (0) or the sine (1) of so many cycles a second.
+fn mean_cosine(between: [f64; 2], hz: f64, quarter: u8) -> f64 {
+    let [from, to] = between.map(|t| TAU * hz * t - FRAC_PI_2 * f64::from(quarter));
+    (to.sin() - from.sin()) / (to - from).max(1e-9)
 }
 
 /// Piecewise linear basis function `j` of `n` over 0..1.

@@ -17,6 +17,8 @@ pub struct Term {
     pub own: bool,
     /// Whether its columns are pairs of cosine and sine.
     pub harmonic: bool,
+    /// Among how many such terms it was chosen for the data.
+    pub among: usize,
 }
 
 /// What a term without physics costs in nats: a cause of the library is the likelier explanation by far, but not beyond all evidence.
@@ -26,6 +28,9 @@ pub const FREE_FORM_COST: f64 = 20.0;
 
 /// Standard deviation of a common coefficient, as a share of the speed.
 pub const SIZE: f64 = 0.1;
+
+/// Knots of a course over the time that runs of a direction share.
+const COURSE_KNOTS: usize = 4;
 
 /// Knots of a run's own wander in time.
 const WANDER_KNOTS: usize = 16;
@@ -42,6 +47,7 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             coordinates: &[Coordinate::Start],
             own: false,
             harmonic: false,
+            among: 1,
         },
         Term {
             lives_in: "time, each run its own",
@@ -49,8 +55,10 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             coordinates: &[],
             own: true,
             harmonic: false,
+            among: 1,
         },
     ];
+    all.extend(of_directions(problem));
     if problem.pulsed() {
         all.extend(of_pulses());
     }
@@ -61,16 +69,19 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             coordinates: &[Coordinate::Slots],
             own: false,
             harmonic: false,
+            among: 1,
         });
     }
     if turning {
-        let harmonics = |from: usize, to: usize| flexible((2 * from - 2..2 * to).map(Basis::Angle).collect());
+        let pair = |order: usize| [0, 1].map(|quarter| Basis::Angle(order as f64, quarter));
+        let harmonics = |from: usize, to: usize| flexible((from..=to).flat_map(pair).collect());
         all.push(Term {
             lives_in: "angle",
             columns: harmonics(1, 2),
             coordinates: &[Coordinate::Angle],
             own: true,
             harmonic: true,
+            among: 1,
         });
         let many = [("angle, three and more times a turn", 3, 8), ("angle, nine and more times a turn", 9, 16)];
         all.extend(many.map(|(lives_in, from, to)| Term {
@@ -79,7 +90,35 @@ pub fn terms(problem: &Problem) -> Vec<Term> {
             coordinates: &[],
             own: true,
             harmonic: true,
+            among: 1,
         }));
+    }
+    all
+}
+
+/// Runs of either kind from which what they differ by is seen to be theirs.
+const FEWEST_OF_A_KIND: usize = 2;
+
+/// The terms of runs that go either way: over the time, and after a change of the way.
+fn of_directions(problem: &Problem) -> Vec<Term> {
+    let both = |way: Vec<bool>| {
+        let of = way.iter().filter(|w| **w).count();
+        of.min(way.len() - of) >= FEWEST_OF_A_KIND
+    };
+    let course = |lives_in: &'static str, basis: fn(usize, usize) -> Basis| Term {
+        lives_in,
+        columns: flexible((0..COURSE_KNOTS).map(|j| basis(j, COURSE_KNOTS)).collect()),
+        coordinates: &[],
+        own: false,
+        harmonic: false,
+        among: 1,
+    };
+    let mut all = Vec::new();
+    if both(problem.runs.iter().map(|r| r.direction < 0.0).collect()) {
+        all.push(course("direction, over the time", Basis::Heading));
+    }
+    if both(problem.reversed()) {
+        all.push(course("direction of the run before, over the time", Basis::Reversed));
     }
     all
 }
@@ -93,6 +132,7 @@ fn of_pulses() -> [Term; 4] {
             coordinates: &[Coordinate::Pulse],
             own: false,
             harmonic: false,
+            among: 1,
         },
         Term {
             lives_in: "PWM phase, from period to period",
@@ -102,6 +142,7 @@ fn of_pulses() -> [Term; 4] {
             coordinates: &[],
             own: false,
             harmonic: false,
+            among: 1,
         },
         Term {
             lives_in: "timing against the PWM",
@@ -109,6 +150,7 @@ fn of_pulses() -> [Term; 4] {
             coordinates: &[Coordinate::Clock],
             own: false,
             harmonic: false,
+            among: 1,
         },
         Term {
             lives_in: "the milliseconds after switching",
@@ -116,11 +158,13 @@ fn of_pulses() -> [Term; 4] {
             coordinates: &[Coordinate::Pulse],
             own: false,
             harmonic: false,
+            among: 1,
         },
     ]
 }
 
-fn flexible(bases: Vec<Basis>) -> Vec<Column> {
+/// Columns of such functions.
+pub fn flexible(bases: Vec<Basis>) -> Vec<Column> {
     bases.into_iter().map(Column::Flexible).collect()
 }
 

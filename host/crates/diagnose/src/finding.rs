@@ -90,8 +90,12 @@ pub enum Curve {
     Direction(f64),
     /// The same at duties, in between linear.
     DutyAndDirection(Vec<[f64; 2]>),
+    /// The same at times since the drive began in s, in between linear.
+    TimeAndDirection(Vec<[f64; 2]>),
     /// Orders of a turn with amplitude and phase (rad): `amplitude·cos(order·angle − phase)`.
     Angle(Vec<[f64; 3]>),
+    /// Cycles a second with amplitude and phase (rad): `amplitude·cos(2π·cycles·time − phase)`.
+    Cycle(Vec<[f64; 3]>),
     /// Over something else.
     Elsewhere,
 }

@@ -2,6 +2,7 @@
 
 use super::answer::DescribedAnswer;
 use super::finding::Curve;
+use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::sync::Arc;
 use twum_motor::hypothesis::{ActsOn, DESCRIBED, DIMENSIONLESS, Formula, Hypothesis, LONGEST, Number, Role};
@@ -94,9 +95,18 @@ fn shape(curve: &Curve) -> Option<Shape> {
             let size = largest(points);
             of("over_both", size, &|| format!("direction*({})", polyline("duty", points, size)))
         }
+        Curve::TimeAndDirection(points) => {
+            let size = largest(points);
+            of("by_direction_over_time", size, &|| format!("direction*({})", polyline("time_s", points, size)))
+        }
         Curve::Angle(orders) => {
             let size = orders.iter().map(|o| o[1]).fold(0.0, f64::max);
-            of("over_angle", size, &|| waves(orders, size))
+            of("over_angle", size, &|| waves(orders, size, "turned_rad"))
+        }
+        Curve::Cycle(cycles) => {
+            let size = cycles.iter().map(|o| o[1]).fold(0.0, f64::max);
+            let radians: Vec<[f64; 3]> = cycles.iter().map(|[hz, a, phase]| [TAU * hz, *a, *phase]).collect();
+            of("over_cycles", size, &|| waves(&radians, size, "time_s"))
         }
         Curve::Elsewhere => None,
     }
@@ -120,11 +130,11 @@ fn polyline(variable: &str, points: &[[f64; 2]], size: f64) -> String {
     out
 }
 
-/// Waves of the angle, of a `size`.
-fn waves(orders: &[[f64; 3]], size: f64) -> String {
+/// Waves of an angle, of a `size`.
+fn waves(orders: &[[f64; 3]], size: f64, angle: &str) -> String {
     let wave = |[order, amplitude, phase]: &[f64; 3]| {
         let sign = if *phase > 0.0 { '-' } else { '+' };
-        format!("{}*cos({order}*turned_rad{sign}{})", decimal(amplitude / size), decimal(phase.abs()))
+        format!("{}*cos({}*{angle}{sign}{})", decimal(amplitude / size), decimal(*order), decimal(phase.abs()))
     };
     orders.iter().map(wave).collect::<Vec<_>>().join("+")
 }
@@ -174,6 +184,23 @@ mod tests {
                     assert!((change - expected).abs() < 1e-5, "{now:?}: {change}, not {expected}");
                 }
             }
+        }
+    }
+
+    /// Fails if a course over the time loses its direction's sign, or cycles a second are those of a radian.
+    #[test]
+    fn a_formula_says_a_direction_s_course_and_cycles() {
+        let course = Curve::TimeAndDirection(vec![[0.0, 0.02], [2.0, -0.01]]);
+        let cycles = Curve::Cycle(vec![[1.4, 0.03, 0.5]]);
+        let terms = [course, cycles].map(described);
+        let (effect, left) = effect(&terms, 1.0);
+        assert_eq!(left, []);
+        let effect = effect.expect("both can be said");
+        for (time_s, direction) in [(0.3, 1.0), (1.1, -1.0), (3.0, -1.0)] {
+            let now = Now { time_s, direction, ..Now::default() };
+            let expected = direction * (0.02 - 0.015 * f64::min(time_s, 2.0)) + 0.03 * (TAU * 1.4 * time_s - 0.5).cos();
+            let change = effect.change_of(ActsOn::Speed, &now);
+            assert!((change - expected).abs() < 1e-4, "{now:?}: {change}, not {expected}");
         }
     }
 

@@ -152,7 +152,7 @@ impl<'a> Scorer<'a> {
         let problem = self.ground.problem;
         let mut first = problem.clone();
         for run in &mut first.runs {
-            let started = |w: &Window| run.kind == RunKind::Track || middle(run, w) >= START_UP_S;
+            let started = |w: &Window| run.kind == RunKind::Track || w.middle(&run.times) >= START_UP_S;
             let keep: Vec<Window> = run.windows.iter().copied().filter(|w| !is_later(run, w) && started(w)).collect();
             run.windows = keep;
         }
@@ -161,10 +161,10 @@ impl<'a> Scorer<'a> {
         for (run, residual) in problem.runs.iter().zip(problem.residuals(&model)) {
             let mut pieces: std::collections::BTreeMap<usize, (f64, f64)> = std::collections::BTreeMap::new();
             for (w, rpm) in run.windows.iter().zip(&residual.rpm) {
-                if !is_later(run, w) || middle(run, w) > run.drive_end {
+                if !is_later(run, w) || w.middle(&run.times) > run.drive_end {
                     continue;
                 }
-                let piece = pieces.entry((middle_angle(run, w) / PI) as usize).or_default();
+                let piece = pieces.entry((w.middle(&run.angles).abs() / PI) as usize).or_default();
                 piece.0 += rpm * rpm * run.duration(w);
                 piece.1 += run.duration(w);
             }
@@ -295,16 +295,12 @@ impl<'a> Scorer<'a> {
     }
 }
 
-fn middle(run: &Observed, w: &Window) -> f64 {
-    0.5 * (run.times[w.from] + run.times[w.to])
-}
-
-fn middle_angle(run: &Observed, w: &Window) -> f64 {
-    0.5 * (run.angles[w.from] + run.angles[w.to]).abs()
-}
-
 /// Whether a window lies in the part of a run that is scored: after the first turn, or, of less than one and a half, after half the time.
 pub fn is_later(run: &Observed, w: &Window) -> bool {
     let by_turns = run.revolutions() >= 1.5 && run.reversals.is_empty();
-    if by_turns { middle_angle(run, w) >= TAU } else { middle(run, w) >= 0.5 * run.drive_end.min(run.record_end) }
+    if by_turns {
+        w.middle(&run.angles).abs() >= TAU
+    } else {
+        w.middle(&run.times) >= 0.5 * run.drive_end.min(run.record_end)
+    }
 }

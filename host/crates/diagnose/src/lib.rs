@@ -30,6 +30,7 @@ pub mod cache;
 pub mod candidate;
 pub mod conclusion;
 pub mod controller;
+mod cycles;
 pub mod described;
 pub mod design;
 pub mod discrepancy;

@@ -18,6 +18,13 @@ pub struct Window {
     pub high: f64,
 }
 
+impl Window {
+    /// Half way from its beginning to its end, `of` the times or the angles of its run.
+    pub fn middle(&self, of: &[f64]) -> f64 {
+        0.5 * (of[self.from] + of[self.to])
+    }
+}
+
 /// One run, ready to be held against a model.
 #[derive(Debug, Clone)]
 pub struct Observed {
@@ -361,14 +368,19 @@ fn control(o: &mut Observed, run: &Run, rows: &[twum_record::measurement::Contro
     }
 }
 
-/// Keeps `each` repetitions of each kind of run and the first 2.5 s of each.
-pub fn thin(runs: &mut Vec<Observed>, each: usize) {
+/// Keeps `each` repetitions of each kind of run.
+pub fn some_of_each(runs: &mut Vec<Observed>, each: usize) {
     let mut seen: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
     runs.retain(|r| {
         let n = seen.entry(format!("{:?}/{:?}/{}/{}", r.kind, r.duty, r.direction, r.pwm_hz)).or_default();
         *n += 1;
         *n <= each
     });
+}
+
+/// The same, and the first 2.5 s of each.
+pub fn thin(runs: &mut Vec<Observed>, each: usize) {
+    some_of_each(runs, each);
     for r in runs {
         let keep = r.times.iter().take_while(|t| **t <= 2.5).count().max(2);
         r.times.truncate(keep);

@@ -1,6 +1,6 @@
 //! The comparison itself: residuals of every window for given parameters, and their derivatives.
 
-use super::observe::{Observed, thin};
+use super::observe::{Observed, some_of_each, thin};
 use super::rotor::{P, Parameters, RunInput, RunTerms, Trajectory, simulate, warm_up};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -85,6 +85,13 @@ impl Problem {
         Self::new(runs).with(self.formulas.clone())
     }
 
+    /// One repetition of each kind of run.
+    pub fn one_of_each(&self) -> Self {
+        let mut runs = self.runs.clone();
+        some_of_each(&mut runs, 1);
+        Self::new(runs).with(self.formulas.clone())
+    }
+
     /// How many windows are compared.
     pub fn windows(&self) -> f64 {
         self.runs.iter().map(|r| r.windows.len() as f64).sum()
@@ -107,6 +114,17 @@ impl Problem {
             rank[*i] = k as f64;
         }
         rank
+    }
+
+    /// Which runs go another way than the one made before them; none where the order or the directions are unknown.
+    pub fn reversed(&self) -> Vec<bool> {
+        let mut reversed = vec![false; self.runs.len()];
+        for (before, now) in self.sequence.iter().flat_map(|s| s.iter().zip(s.iter().skip(1))) {
+            let [before, run] = [before, now].map(|i| &self.runs[*i]);
+            let known = before.direction_known && run.direction_known;
+            reversed[*now] = known && before.direction * run.direction < 0.0;
+        }
+        reversed
     }
 
     /// Whether a drive is switched within its PWM periods.

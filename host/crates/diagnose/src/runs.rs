@@ -55,10 +55,12 @@ pub fn diagnose_runs(
     };
     let searched = |compared: &Problem, baseline: Model, moved: &Option<Shifted>| {
         let clock = if let Some(Shifted::Clock(model)) = moved { Some(model.as_ref()) } else { None };
-        Ground::new(compared, home.clone(), &effects, usable.clone()).search(baseline, clock, progress)
+        let mut ground = Ground::new(compared, home.clone(), &effects, usable.clone());
+        let sets = ground.search(baseline, clock, progress);
+        (sets, ground.terms)
     };
     let (mut compared, baseline) = compare(&moved);
-    let mut sets = searched(&compared, baseline, &moved);
+    let (mut sets, mut terms) = searched(&compared, baseline, &moved);
     // Behind another effect's error they may not have shown, be it one that is not certain; or that error looked like them.
     let with_effects = sets.iter().find(|s| !s.parts.is_empty());
     if let Some(found) = with_effects.map(|s| &s.model) {
@@ -79,11 +81,12 @@ pub fn diagnose_runs(
             moved = again;
             let baseline;
             (compared, baseline) = compare(&moved);
-            sets = searched(&compared, baseline, &moved);
+            (sets, terms) = searched(&compared, baseline, &moved);
         }
     }
     progress("measuring what was found", 0.85);
-    let mut outcome = conclude(&Ground::new(&compared, home.clone(), &effects, usable), &sets, settings);
+    let ground = Ground { terms, ..Ground::new(&compared, home.clone(), &effects, usable) };
+    let mut outcome = conclude(&ground, &sets, settings);
     if let Some(Shifted::Lost(gaps)) = moved {
         let before = Ground::new(&original, home.clone(), &effects, Vec::new());
         let root = before.root(unrepaired);

@@ -5,6 +5,7 @@
 
 use super::baseline::{as_listed, at_speed, valleys};
 use super::candidate::{LEAST_LOOK, free_of};
+use super::cycles::cycles;
 use super::discrepancy::FREE_FORM_COST;
 use super::form_error::FormError;
 use super::ground::Ground;
@@ -49,6 +50,8 @@ impl Ground<'_> {
     pub fn search(&mut self, baseline: Model, clock: Option<&Model>, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
         let mut pool = vec![self.root(baseline)];
         self.settle(&mut pool);
+        self.terms.extend(cycles(self.problem, &pool[0].model.parameters));
+        pool[0] = self.root(pool[0].model.clone());
         self.missing_friction(&mut pool);
         let at_lines: Vec<Model> = self.lines().map(|error| with_clock(&pool[0].model, error)).collect();
         for model in clock.into_iter().chain(&at_lines) {

@@ -115,7 +115,8 @@ impl Ground<'_> {
 
     fn term_cost(&self, term: usize) -> f64 {
         let over = |e: &usize| self.terms[term].coordinates.contains(&self.effects[*e].coordinate);
-        if self.usable.iter().any(over) { FREE_FORM_COST } else { TERM_COST }
+        let cost = if self.usable.iter().any(over) { FREE_FORM_COST } else { TERM_COST };
+        cost + (self.terms[term].among as f64).ln()
     }
 
     /// Whether what goes with the angle goes with it once or twice a turn before all: a rhythm of the third harmonic and beyond is another

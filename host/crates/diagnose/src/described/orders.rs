@@ -134,9 +134,10 @@ fn strongest(mut sizes: Vec<(usize, Size)>) -> Vec<(usize, Size)> {
 /// Orders of a turn in words and numbers.
 fn harmonics(problem: &Problem, term: &Term, fits: &[Own]) -> Said {
     let order = |k: usize| match term.columns[2 * k] {
-        Column::Flexible(Basis::Angle(j)) => j / 2 + 1,
-        _ => k + 1,
+        Column::Flexible(Basis::Angle(rate, _) | Basis::Cycle(rate, _)) => rate,
+        _ => 0.0,
     };
+    let over_time = matches!(term.columns.first(), Some(Column::Flexible(Basis::Cycle(..))));
     let shown = |k: usize| -> Vec<&Own> {
         let noise = |f: &Own| f.covariance[(2 * k, 2 * k)].max(f.covariance[(2 * k + 1, 2 * k + 1)]);
         fits.iter().filter(|f| noise(f).sqrt() < SAYS_NOTHING).collect()
@@ -161,12 +162,15 @@ fn harmonics(problem: &Problem, term: &Term, fits: &[Own]) -> Said {
         runs.iter().max_by(farthest).map_or(0.0, |f| f.coefficients[2 * k + 1].atan2(f.coefficients[2 * k]))
     };
     let agree = sizes.iter().all(|(k, _)| in_phase(&shown(*k), *k));
-    let sum: Vec<String> = sizes.iter().map(|(k, _)| format!("a{0}·cos({0}θ − φ{0})", order(*k))).collect();
+    let variable = if over_time { "·2πt" } else { "θ" };
+    let sum: Vec<String> =
+        sizes.iter().map(|(k, _)| format!("a{0}·cos({0}{variable} − φ{0})", short(order(*k)))).collect();
+    let waves = sizes.iter().map(|(k, s)| [order(*k), s.value, phase(*k)]).collect();
     let phases = if agree { "the same φ in all runs" } else { "a φ of its own in every run" };
     Said {
         equation: format!("speed·(1 + {}), {phases}", sum.join(" + ")),
-        parameters: sizes.iter().map(|(k, s)| s.estimate(format!("a{}", order(*k)))).collect(),
-        curve: Curve::Angle(sizes.iter().map(|(k, s)| [order(*k) as f64, s.value, phase(*k)]).collect()),
+        parameters: sizes.iter().map(|(k, s)| s.estimate(format!("a{}", short(order(*k))))).collect(),
+        curve: if over_time { Curve::Cycle(waves) } else { Curve::Angle(waves) },
     }
 }
 
