@@ -332,7 +332,6 @@ mod tests {
             assert_holds(number(&d, time), expected);
         }
         assert!(matches!(&d.curve, Curve::TimeAndDirection(points) if points.len() == 4), "{d:?}");
-        // Every run but the first goes another way than the one before: nothing is told of that.
     }
 
     /// Fails if a course that all runs share is told wrongly, or with the speed as a whole in it.

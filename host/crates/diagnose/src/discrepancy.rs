@@ -29,7 +29,7 @@ pub const FREE_FORM_COST: f64 = 20.0;
 /// Standard deviation of a common coefficient, as a share of the speed.
 pub const SIZE: f64 = 0.1;
 
-/// Knots of a course over the time that runs of a direction share.
+/// Knots of a course over the time that runs of a direction share: it may bend either way.
 const COURSE_KNOTS: usize = 4;
 
 /// Knots of a run's own wander in time.

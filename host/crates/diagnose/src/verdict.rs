@@ -200,7 +200,7 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
     if causes.is_empty() && lives_in.is_empty() {
         // What the best set explains is not explained where nothing of it is said.
         let spreads = beyond_belief(root);
-        let all: f64 = spreads.iter().map(|s| s.1).sum();
+        let all = spreads.iter().map(|s| s.1).sum::<f64>().max(f64::MIN_POSITIVE);
         lives_in.extend(spreads.into_iter().map(|(name, square)| (name, square / all)));
     }
     let beside: f64 = lives_in.iter().map(|l| l.1).sum();
