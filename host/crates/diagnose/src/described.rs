@@ -88,13 +88,14 @@ impl View<'_> {
         Some(match *term.columns.first()? {
             Column::Flexible(basis @ (Basis::Time(_, n) | Basis::Heading(_, n) | Basis::Reversed(_, n))) => {
                 let times: Vec<f64> = (0..n).map(|k| longest_s * k as f64 / (n - 1).max(1) as f64).collect();
-                // What all runs have on average, the free speed is; what those of one kind have is theirs.
-                let (fit, form, whose) = match basis {
-                    Basis::Heading(..) => (fit, "speed·(1 ± Σ c_k·hat_k(t))", "+ cw and − ccw"),
+                // A mean over all runs is the free speed, and one over some what runs scatter by; a direction's is its own.
+                let fit = if matches!(basis, Basis::Heading(..)) { fit } else { fit.about_its_mean(&ends_half(n)) };
+                let (form, whose) = match basis {
+                    Basis::Heading(..) => ("speed·(1 ± Σ c_k·hat_k(t))", "+ cw and − ccw"),
                     Basis::Reversed(..) => {
-                        (fit, "speed·(1 + Σ c_k·hat_k(t))", "in runs that go another way than the one before")
+                        ("speed·(1 + Σ c_k·hat_k(t))", "0 on average, in runs that go another way than the one before")
                     }
-                    _ => (fit.about_its_mean(&ends_half(n)), "speed·(1 + Σ c_k·hat_k(t))", "0 on average"),
+                    _ => ("speed·(1 + Σ c_k·hat_k(t))", "0 on average"),
                 };
                 let knots = times.iter().map(|t| short(*t)).collect::<Vec<_>>().join(", ");
                 let points = times.iter().zip(fit.values.iter()).map(|(t, c)| [*t, *c]).collect();
