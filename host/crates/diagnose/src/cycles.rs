@@ -49,12 +49,8 @@ pub fn cycles(problem: &Problem, motor: &Parameters) -> Vec<Term> {
     let turned = phases(&|run, w| TAU * w.middle(&run.times));
     let term = |lives_in: &'static str, basis: fn(f64, u8) -> Basis, rates: &[f64], step: f64, phases: &[Vec<f64>]| {
         best(&left, rates, step, phases).map(|rate| Term {
-            lives_in,
-            columns: flexible([0, 1].map(|quarter| basis(rate, quarter)).to_vec()),
-            coordinates: &[],
-            own: true,
-            harmonic: true,
             among: rates.len(),
+            ..Term::harmonic(lives_in, [0, 1].map(|quarter| basis(rate, quarter)).to_vec(), &[])
         })
     };
     let angle = term("angle, no whole number of times a turn", Basis::Angle, &orders, step(turns), &angles);

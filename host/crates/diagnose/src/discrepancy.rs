@@ -35,63 +35,39 @@ const COURSE_KNOTS: usize = 4;
 /// Knots of a run's own wander in time.
 const WANDER_KNOTS: usize = 16;
 
+impl Term {
+    /// One whose coefficients all runs share.
+    fn common(lives_in: &'static str, columns: Vec<Column>, coordinates: &'static [Coordinate]) -> Self {
+        Self { lives_in, columns, coordinates, own: false, harmonic: false, among: 1 }
+    }
+
+    /// Cosine and sine, of which every run has its own.
+    pub fn harmonic(lives_in: &'static str, bases: Vec<Basis>, coordinates: &'static [Coordinate]) -> Self {
+        Self { own: true, harmonic: true, ..Self::common(lives_in, flexible(bases), coordinates) }
+    }
+}
+
 /// The terms that these runs can show.
 pub fn terms(problem: &Problem) -> Vec<Term> {
-    let runs = &problem.runs;
-    let levels = runs.iter().any(|r| r.level.iter().any(|l| *l != 0));
-    let turning = problem.most_turns() > LEAST_TURNS;
+    let levels = problem.runs.iter().any(|r| r.level.iter().any(|l| *l != 0));
+    let course = |knots: usize| flexible((0..knots).map(|j| Basis::Time(j, knots)).collect());
     let mut all = vec![
-        Term {
-            lives_in: "time",
-            columns: flexible((0..6).map(|j| Basis::Time(j, 6)).collect()),
-            coordinates: &[Coordinate::Start],
-            own: false,
-            harmonic: false,
-            among: 1,
-        },
-        Term {
-            lives_in: "time, each run its own",
-            columns: flexible((0..WANDER_KNOTS).map(|j| Basis::Time(j, WANDER_KNOTS)).collect()),
-            coordinates: &[],
-            own: true,
-            harmonic: false,
-            among: 1,
-        },
+        Term::common("time", course(6), &[Coordinate::Start]),
+        Term { own: true, ..Term::common("time, each run its own", course(WANDER_KNOTS), &[]) },
     ];
     all.extend(of_directions(problem));
     if problem.pulsed() {
         all.extend(of_pulses());
     }
     if levels {
-        all.push(Term {
-            lives_in: "encoder slots",
-            columns: flexible(vec![Basis::Slot]),
-            coordinates: &[Coordinate::Slots],
-            own: false,
-            harmonic: false,
-            among: 1,
-        });
+        all.push(Term::common("encoder slots", flexible(vec![Basis::Slot]), &[Coordinate::Slots]));
     }
-    if turning {
+    if problem.most_turns() > LEAST_TURNS {
         let pair = |order: usize| [0, 1].map(|quarter| Basis::Angle(order as f64, quarter));
-        let harmonics = |from: usize, to: usize| flexible((from..=to).flat_map(pair).collect());
-        all.push(Term {
-            lives_in: "angle",
-            columns: harmonics(1, 2),
-            coordinates: &[Coordinate::Angle],
-            own: true,
-            harmonic: true,
-            among: 1,
-        });
-        let many = [("angle, three and more times a turn", 3, 8), ("angle, nine and more times a turn", 9, 16)];
-        all.extend(many.map(|(lives_in, from, to)| Term {
-            lives_in,
-            columns: harmonics(from, to),
-            coordinates: &[],
-            own: true,
-            harmonic: true,
-            among: 1,
-        }));
+        let orders = |from: usize, to: usize| (from..=to).flat_map(pair).collect();
+        all.push(Term::harmonic("angle", orders(1, 2), &[Coordinate::Angle]));
+        all.push(Term::harmonic("angle, three and more times a turn", orders(3, 8), &[]));
+        all.push(Term::harmonic("angle, nine and more times a turn", orders(9, 16), &[]));
     }
     all
 }
@@ -105,13 +81,8 @@ fn of_directions(problem: &Problem) -> Vec<Term> {
         let of = way.iter().filter(|w| **w).count();
         of.min(way.len() - of) >= FEWEST_OF_A_KIND
     };
-    let course = |lives_in: &'static str, basis: fn(usize, usize) -> Basis| Term {
-        lives_in,
-        columns: flexible((0..COURSE_KNOTS).map(|j| basis(j, COURSE_KNOTS)).collect()),
-        coordinates: &[],
-        own: false,
-        harmonic: false,
-        among: 1,
+    let course = |lives_in: &'static str, basis: fn(usize, usize) -> Basis| {
+        Term::common(lives_in, flexible((0..COURSE_KNOTS).map(|j| basis(j, COURSE_KNOTS)).collect()), &[])
     };
     let mut all = Vec::new();
     if both(problem.runs.iter().map(|r| r.direction < 0.0).collect()) {
@@ -125,41 +96,14 @@ fn of_directions(problem: &Problem) -> Vec<Term> {
 
 /// The terms of a drive that is switched within the PWM period.
 fn of_pulses() -> [Term; 4] {
+    let phases = (0..8).map(|j| Basis::Phase(j, 8)).collect();
+    let periods = [2, 3, 4].into_iter().flat_map(|n| [0, 1].map(|quarter| Basis::Periods(n, quarter))).collect();
+    let lags = (0..6).map(|j| Column::Lag(j, 6)).collect();
     [
-        Term {
-            lives_in: "PWM phase",
-            columns: flexible((0..8).map(|j| Basis::Phase(j, 8)).collect()),
-            coordinates: &[Coordinate::Pulse],
-            own: false,
-            harmonic: false,
-            among: 1,
-        },
-        Term {
-            lives_in: "PWM phase, from period to period",
-            columns: flexible(
-                [2, 3, 4].into_iter().flat_map(|n| [Basis::Periods(n, 0), Basis::Periods(n, 1)]).collect(),
-            ),
-            coordinates: &[],
-            own: false,
-            harmonic: false,
-            among: 1,
-        },
-        Term {
-            lives_in: "timing against the PWM",
-            columns: (0..6).map(|j| Column::Lag(j, 6)).collect(),
-            coordinates: &[Coordinate::Clock],
-            own: false,
-            harmonic: false,
-            among: 1,
-        },
-        Term {
-            lives_in: "the milliseconds after switching",
-            columns: switching(),
-            coordinates: &[Coordinate::Pulse],
-            own: false,
-            harmonic: false,
-            among: 1,
-        },
+        Term::common("PWM phase", flexible(phases), &[Coordinate::Pulse]),
+        Term::common("PWM phase, from period to period", flexible(periods), &[]),
+        Term::common("timing against the PWM", lags, &[Coordinate::Clock]),
+        Term::common("the milliseconds after switching", switching(), &[Coordinate::Pulse]),
     ]
 }
 

@@ -80,15 +80,17 @@ impl Problem {
 
     /// One repetition of each kind of run, the first seconds of each: enough to tell one kind of motor from another.
     pub fn thinned(&self) -> Self {
-        let mut runs = self.runs.clone();
-        thin(&mut runs, 1);
-        Self::new(runs).with(self.formulas.clone())
+        self.less(thin)
     }
 
     /// One repetition of each kind of run.
     pub fn one_of_each(&self) -> Self {
+        self.less(some_of_each)
+    }
+
+    fn less(&self, thin: fn(&mut Vec<Observed>, usize)) -> Self {
         let mut runs = self.runs.clone();
-        some_of_each(&mut runs, 1);
+        thin(&mut runs, 1);
         Self::new(runs).with(self.formulas.clone())
     }
 
