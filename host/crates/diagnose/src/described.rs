@@ -54,7 +54,7 @@ pub fn term_gain(scorer: &Scorer, set: &Set, term: &Term) -> f64 {
     } else {
         Group::Linear(columns)
     };
-    grams.hold_out(&own, &group).gain()
+    grams.hold_out_around_a_fit(&own, &group).gain()
 }
 
 /// What terms are fitted from.

@@ -132,7 +132,7 @@ impl<'a> Scorer<'a> {
         }
         let (grams, free, pairs) = self.equations(set, &[]);
         let own: Vec<usize> = (0..free).collect();
-        let mut held = grams.hold_out(&own, &Group::Linear(Vec::new()));
+        let mut held = grams.hold_out_around_a_fit(&own, &Group::Linear(Vec::new()));
         if !pairs.is_empty() {
             // Phases were fitted on the very runs that are scored: take off what that is worth by chance.
             let amplitudes: Vec<f64> = set.weighed.powers.iter().map(|p| (2.0 * p).sqrt()).collect();
@@ -283,7 +283,7 @@ impl<'a> Scorer<'a> {
             .filter_map(|effect| {
                 let forms = (0..groups.len()).filter(|k| groups[*k].0 == *effect);
                 let best = forms.max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))?;
-                Some((*effect, grams.hold_out(&own, &plain[best])))
+                Some((*effect, grams.hold_out_around_a_fit(&own, &plain[best])))
             })
             .collect();
         Chance { null, alone }
