@@ -49,6 +49,19 @@ fn thorough_a_pair_is_found_beside_a_clock_that_makes_nearly_all_of_the_error() 
     both_are_found("d", 12_067, ["clock-error", "preload-runout"]);
 }
 
+/// A saturation of 28 % of the error beside an asymmetry, which on runs held out lost 174 %: what all runs would change of the model was taken for
+/// what was fitted without them.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_is_named_helps_where_it_was_not_fitted() {
+    let d = of_a_case("c", Kind::Pair, 20_004);
+    for hidden in ["direction-asymmetry", "high-duty-saturation"] {
+        assert!(d.named().contains(&hidden), "{:?}", d.suspected());
+        let effect = d.effects.iter().find(|e| e.name == hidden).expect("it is named");
+        assert!(effect.gain_heldout > 0.05, "{hidden} {}", effect.gain_heldout);
+    }
+}
+
 /// Six runs, of which the longest makes 0.595 of a turn. Fails if what goes with the angle is looked for from 0.6 of a turn on.
 #[test]
 fn an_eccentric_wheel_shows_in_less_than_a_turn() {
@@ -58,7 +71,8 @@ fn an_eccentric_wheel_shows_in_less_than_a_turn() {
 /// A word lost in each of two slow runs of 19, one of them as the drive ends. Fails if a gap with an odd number of edges in it is none, if an edge
 /// where the record was joined is compared, or if a clock is preferred because another error is larger than what the gaps take.
 #[test]
-fn lost_words_of_a_slow_rotor_are_found_beside_a_delay() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_lost_words_of_a_slow_rotor_are_found_beside_a_delay() {
     both_are_found("e", 284, ["dropped-samples", "start-delay"]);
 }
 
@@ -103,7 +117,8 @@ fn is_unknown_over(generator: &str, seed: u64, place: &str) {
 
 /// Three sessions, and a part that was changed for a quarter of the runs. Fails if what comes and goes with their order is taken for chance.
 #[test]
-fn what_comes_and_goes_with_the_order_is_unknown_over_the_order() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_comes_and_goes_with_the_order_is_unknown_over_the_order() {
     is_unknown_over("d", 12_003, "order");
     is_unknown_over("e", 309, "order");
 }
@@ -117,7 +132,8 @@ fn thorough_teeth_are_unknown_over_the_angle() {
 
 /// A bearing's cage, and a beat over the time. Fails if only whole numbers of a turn are looked at, or no rate of the time.
 #[test]
-fn what_comes_at_a_rate_of_its_own_is_unknown_over_it() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_comes_at_a_rate_of_its_own_is_unknown_over_it() {
     is_unknown_over("e", 307, "angle, no whole number of times a turn");
     is_unknown_over("c", 16_400, "time, so many cycles a second");
 }
@@ -131,7 +147,8 @@ fn what_a_run_remembers_of_the_one_before_is_unknown_over_the_direction() {
 /// A half more speed about one duty, which a sag, a saturation or wear would each explain in part. Fails if it is `none` because none of
 /// them is certain.
 #[test]
-fn what_nothing_certain_explains_is_unknown() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_nothing_certain_explains_is_unknown() {
     is_unknown_over("b", 17_108, "duty");
 }
 
