@@ -49,17 +49,14 @@ fn thorough_a_pair_is_found_beside_a_clock_that_makes_nearly_all_of_the_error() 
     both_are_found("d", 12_067, ["clock-error", "preload-runout"]);
 }
 
-/// A saturation of 28 % of the error beside an asymmetry, which on runs held out lost 174 %: what all runs would change of the model was taken for
-/// what was fitted without them.
+/// An asymmetry of which an oracle removes half of the error, which on runs held out gained 3 %: what all runs would change of the model was taken
+/// for what was fitted without them.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_what_is_named_helps_where_it_was_not_fitted() {
-    let d = of_a_case("c", Kind::Pair, 20_004);
-    for hidden in ["direction-asymmetry", "high-duty-saturation"] {
-        assert!(d.named().contains(&hidden), "{:?}", d.suspected());
-        let effect = d.effects.iter().find(|e| e.name == hidden).expect("it is named");
-        assert!(effect.gain_heldout > 0.05, "{hidden} {}", effect.gain_heldout);
-    }
+    let d = of_a_case("e", Kind::Single, 321);
+    let effect = d.effects.iter().find(|e| e.name == "direction-asymmetry").expect("it is named");
+    assert!(effect.status == "named" && effect.gain_heldout > 0.4, "{} {}", effect.status, effect.gain_heldout);
 }
 
 /// Six runs, of which the longest makes 0.595 of a turn. Fails if what goes with the angle is looked for from 0.6 of a turn on.
