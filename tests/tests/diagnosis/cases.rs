@@ -82,6 +82,14 @@ fn what_is_likely_and_helps_for_certain_is_said_and_not_named() {
     assert!(d.named().is_empty(), "{:?}", d.named());
 }
 
+/// Nothing is hidden; a sag is likelier than not, and brings 7 % for certain on runs held out. Fails if so little is said.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_is_likely_and_helps_a_little_is_none() {
+    let d = of_a_case("e", Kind::Null, 310);
+    assert_eq!(d.verdict, Verdict::None, "{:?}", d.suspected());
+}
+
 /// Nothing is hidden; contacts that spring back move the pulses by a tenth of a millisecond, which edges timed to microseconds show. Fails if the
 /// rotor's equation is believed to the last microsecond: then a delay of the start is named.
 #[test]

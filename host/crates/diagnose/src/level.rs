@@ -15,8 +15,9 @@ pub const NAMES: [&str; 5] = ["run to run", "duty", "direction", "duty and direc
 
 /// What is believed of the spreads before the data: medians and log deviations. Repeated runs of such motors differ by about a per
 /// cent; what a wrong equation does to the speed over duty, direction and order is believed to be some thousandths, over the direction a
-/// third more at three deviations: the equations of both directions are the same, and what differs by more is an asymmetry. Over the duty it was 0.015 at most in 48 motors without an effect
-/// (generators B, C and D), two deviations; a sag or a saturation moves the speed by some hundredths.
+/// third more at three deviations: the equations of both directions are the same, and what differs by more is an asymmetry. Over the duty
+/// it was 0.015 at most in 48 motors without an effect (generators B, C and D), two deviations; a sag or a saturation moves the speed by
+/// some hundredths.
 const MEDIANS: Taus = [0.012, 0.006, 0.003, 0.003, 0.003];
 const LOG_SDS: Taus = [0.5, 0.45, 0.1, 0.35, 0.35];
 

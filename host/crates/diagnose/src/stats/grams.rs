@@ -164,9 +164,17 @@ impl Grams {
         Self { columns, gain_column, runs, variance, gain_spread, ridge, prior: Vec::new(), folds }
     }
 
-    /// The divisions and the coefficients of `set` fitted in each.
+    /// The divisions, and what the runs fitted in each would change of a model that was fitted to all: coefficients of `set`.
     pub fn fold_fits(&self, set: &[usize]) -> Vec<(Fold, DVector<f64>)> {
-        self.folds.iter().map(|f| (f.clone(), self.fit(&f.train, set))).collect()
+        let drift = self.drift(set);
+        self.folds.iter().map(|f| (f.clone(), self.fit(&f.train, set) - &drift)).collect()
+    }
+
+    /// What these equations would change, with all runs, of a model that was fitted to all runs under beliefs in gains and priors that are not
+    /// quite these. It is no division's doing, and may lie beyond where anything is linear.
+    pub(super) fn drift(&self, set: &[usize]) -> DVector<f64> {
+        let all: Vec<usize> = (0..self.runs.len()).collect();
+        self.fit(&all, set)
     }
 
     /// Number of columns.
