@@ -19,6 +19,8 @@ const SAME_MOTOR: f64 = 0.5;
 const HARDLY_SEEN: LogNormal = LogNormal { median: 1.0, log_sd: 0.7 };
 /// The slip over the wave's speed within which another motor's contact gives way: from a thousandth, a hard one, to a fifth.
 const OTHER_BAND: LogNormal = LogNormal { median: 0.02, log_sd: 1.2 };
+/// The widest band of all, in which the torque falls over all of the wave's speed.
+const WIDEST_BAND: f64 = 1.0;
 /// Crystals of two boards differ by some ten parts in a million: no cause, but seen in long runs.
 const CLOCK: f64 = 5e-5;
 /// Delay of a record behind the drive: a sample or two of a millisecond.
@@ -83,7 +85,7 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
         rate(P::OnAcceleration, OTHER_MOTOR),
         off,
         near(P::Viscous, viscous, LogNormal { median: viscous, ..HARDLY_SEEN }),
-        positive(P::SlipBand, 1e-3, (1e-3, 1.0), either(band, HARDLY_SEEN.log_sd, OTHER_BAND)),
+        positive(P::SlipBand, 1e-3, (1e-3, widest_own_band(home)), either(band, HARDLY_SEEN.log_sd, OTHER_BAND)),
         normal(P::ClockError, CLOCK, 20.0),
         normal(P::Latency, LATENCY_S, 5.0),
         positive(
@@ -96,6 +98,22 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
         positive(P::Lift, 0.005, (0.007, 0.3), LIFT),
         positive(P::Ahead, 0.05, (0.01, 5.0), AHEAD),
     ]
+}
+
+/// The widest slip band that may be the motor's own, two deviations from the file's or from another motor's: a wider one is
+/// `contact-stiffening`. In the generators, motors without an effect are fitted with up to 0.2.
+pub fn widest_own_band(home: &Parameters) -> f64 {
+    let [listed, other] = [home.get(P::SlipBand), OTHER_BAND.median];
+    f64::max(listed * (2.0 * HARDLY_SEEN.log_sd).exp(), other * (2.0 * OTHER_BAND.log_sd).exp())
+}
+
+/// The motor's own parameters, and a contact as soft as may be: which is too soft to be its own is asked later, with all effects.
+fn with_any_contact(model: &Parameters, home: &Parameters) -> Vec<Free> {
+    let mut free = baseline_free(model, home, false);
+    for own in free.iter_mut().filter(|f| f.parameter == P::SlipBand) {
+        own.bounds.1 = WIDEST_BAND;
+    }
+    free
 }
 
 /// Noise of a first look: nothing is known yet but the size of the residuals.
@@ -129,7 +147,7 @@ pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) ->
             .min_by(|a, b| a.variance.total_cmp(&b.variance))
             .unwrap_or(Noise { variance: 1.0, gain_spread: GAIN_SPREAD });
         let value = |model: &Model| {
-            let free = baseline_free(&model.parameters, home, false);
+            let free = with_any_contact(&model.parameters, home);
             let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
             objective(problem, model, noise) - 2.0 * noise.variance * prior
         };
@@ -141,7 +159,7 @@ pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) ->
     let heat =
         |problem: &Problem, (models, noise): (Vec<Model>, Noise), (count, steps): (usize, usize)| -> Vec<Model> {
             let fit = |m: Model| {
-                let free = baseline_free(&m.parameters, home, false);
+                let free = with_any_contact(&m.parameters, home);
                 refit(problem, m, &free, &[], noise, steps)
             };
             models.into_iter().take(count).map(fit).collect()

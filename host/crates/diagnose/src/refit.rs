@@ -40,8 +40,19 @@ const FIRST_POWER: f64 = 0.01;
 /// Rounds in which the power that all runs share is found from the coefficients of the runs.
 const EXPECTATIONS: usize = 6;
 
-/// Fits `free` (the first must be the free speed) and `phased`, starting from `model`. The noise is of the tempered likelihood, in rpm²·s.
-pub fn refit(problem: &Problem, model: Model, free: &[Free], phased: &[Phased], noise: Noise, steps: usize) -> Model {
+/// Fits `free` (the first must be the free speed) and `phased`, starting from `model` or, where that lies beyond the bounds, from there. The noise is
+/// of the tempered likelihood, in rpm²·s.
+pub fn refit(
+    problem: &Problem,
+    mut model: Model,
+    free: &[Free],
+    phased: &[Phased],
+    noise: Noise,
+    steps: usize,
+) -> Model {
+    for f in free {
+        model.parameters.set(f.parameter, model.parameters.get(f.parameter).clamp(f.bounds.0, f.bounds.1));
+    }
     let mut columns = columns_of(free);
     columns.extend(phased.iter().flat_map(|p| p.columns()));
     let mut power = vec![FIRST_POWER; phased.len()];

@@ -3,7 +3,7 @@
 //! Every set is refitted together with the baseline's own parameters and weighed by its evidence. From a set, all forms of all other
 //! effects are weighed linearly; those of the few best effects are refitted and join the pool. The search is bounded by counts.
 
-use super::baseline::{as_listed, at_speed, valleys};
+use super::baseline::{as_listed, at_speed, valleys, widest_own_band};
 use super::candidate::{LEAST_LOOK, free_of};
 use super::cycles::cycles;
 use super::discrepancy::FREE_FORM_COST;
@@ -48,11 +48,12 @@ impl Ground<'_> {
     /// Searches from the refitted baseline, and from a motor beside a wrong `clock` where one was read off the records; every set that was
     /// visited, best first.
     pub fn search(&mut self, baseline: Model, clock: Option<&Model>, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
-        let mut pool = vec![self.root(baseline)];
+        let mut pool = vec![self.root(self.hardened(&baseline))];
         self.settle(&mut pool);
         self.terms.extend(cycles(self.problem, &pool[0].model.parameters));
         pool[0] = self.root(pool[0].model.clone());
         self.missing_friction(&mut pool);
+        self.soft_contact(baseline, &mut pool);
         let at_lines: Vec<Model> = self.lines().map(|error| with_clock(&pool[0].model, error)).collect();
         for model in clock.into_iter().chain(&at_lines) {
             if let Some(set) = self.wrong_clock(model, &pool[0]) {
@@ -229,22 +230,40 @@ impl Ground<'_> {
     /// In closed loops, what the root's own friction without a wave departs from the file's, said as `off-phase-braking`: a linear look
     /// around the root finds none, for it has adapted already.
     fn missing_friction(&self, pool: &mut Vec<Set>) {
-        let brakes = |e: &&usize| self.effects[**e].forms[0].sizes.iter().any(|s| s.parameter == P::OffLoss);
-        let Some(&effect) = self.usable.iter().find(brakes) else { return };
         let mut model = pool[0].model.clone();
         let rate = |p: P| self.home.get(p).max(1e-9);
         let like = rate(P::OffDeceleration) / rate(P::OnAcceleration) * model.parameters.get(P::OnAcceleration);
         let missing = 1.0 - model.parameters.get(P::OffDeceleration) / like;
-        if missing <= 0.0 {
-            return;
+        if missing > 0.0 {
+            model.parameters.set(P::OffDeceleration, like);
+            self.put_as(P::OffLoss, missing, model, pool);
         }
-        model.parameters.set(P::OffDeceleration, like);
-        model.parameters.set(P::OffLoss, missing);
-        let spec = &self.effects[effect].forms[0];
-        let parts = vec![Part { effect, form: 0, free: free_of(spec), phased: Vec::new() }];
+    }
+
+    /// The model with no softer a contact than may be the motor's own.
+    fn hardened(&self, model: &Model) -> Model {
+        let band = model.parameters.get(P::SlipBand).min(widest_own_band(&self.home));
+        Model { parameters: model.parameters.with(P::SlipBand, band), terms: model.terms.clone() }
+    }
+
+    /// What of the baseline's contact is too soft to be the motor's own, said as `contact-stiffening`: the root has hardened, and took for it
+    /// what else there is.
+    fn soft_contact(&self, mut baseline: Model, pool: &mut Vec<Set>) {
+        let [band, listed] = [baseline.parameters.get(P::SlipBand), self.home.get(P::SlipBand)];
+        if band > widest_own_band(&self.home) {
+            baseline.parameters.set(P::SlipBand, listed);
+            self.put_as(P::SlipExtra, band - listed, baseline, pool);
+        }
+    }
+
+    /// A model whose own parameter departs from the motor's, as the set of the effect that has this `size`, refitted.
+    fn put_as(&self, size: P, value: f64, mut model: Model, pool: &mut Vec<Set>) {
+        let sized = |e: &&usize| self.effects[**e].forms[0].sizes.iter().any(|s| s.parameter == size);
+        let Some(&effect) = self.usable.iter().find(sized) else { return };
+        model.parameters.set(size, value);
+        let parts = vec![Part { effect, form: 0, free: free_of(&self.effects[effect].forms[0]), phased: Vec::new() }];
         let model = self.refitted(model, &parts, self.noise(&pool[0]), 8);
-        let set = self.weigh_set(parts, model, Some(&pool[0]));
-        pool.push(set);
+        self.put(self.weigh_set(parts, model, Some(&pool[0])), pool);
     }
 
     /// Clock errors at which the PWM's line stands: a linear look from no error does not get as far as half a period of drift.
