@@ -133,6 +133,10 @@ impl Standing {
             let sure = struck.iter().filter(|(_, p)| *p >= NAMED);
             judged.lives_in.extend(sure.map(|(e, _)| (ground.effects[*e].coordinate.name(), 0.0)));
         }
+        if judged.named.is_empty() && judged.one_of.is_empty() && !judged.withheld {
+            let helps = |term: &Term| term_gain(scorer, root, term) >= LEAST_GAIN;
+            judged.lives_in.retain(|(place, _)| ground.terms.iter().find(|t| t.lives_in == *place).is_none_or(helps));
+        }
         judged.inclusion.extend(&struck);
         Self { sets, judged, struck }
     }
