@@ -26,6 +26,12 @@ fn thorough_a_clock_is_found_that_drifts_by_half_a_period_beside_a_strong_settli
     assert!((clock["relative_clock_error"].value - 0.003).abs() < 1e-4, "{clock:?}");
 }
 
+/// Nothing is hidden, and nothing is said.
+fn nothing_is_said(generator: &str, seed: u64) {
+    let d = of_a_case(generator, Kind::Null, seed);
+    assert_eq!(d.verdict, Verdict::None, "{seed}: {:?}", d.suspected());
+}
+
 /// Both of a pair are suspected, and nothing else is named.
 fn both_are_found(generator: &str, seed: u64, hidden: [&str; 2]) {
     let d = of_a_case(generator, Kind::Pair, seed);
@@ -86,8 +92,7 @@ fn what_is_likely_and_helps_for_certain_is_said_and_not_named() {
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_what_brings_next_to_nothing_is_not_unknown() {
-    let d = of_a_case("e", Kind::Null, 337);
-    assert_eq!(d.verdict, Verdict::None, "{:?}", d.suspected());
+    nothing_is_said("e", 337);
 }
 
 /// A contact that gives way over two fifths of the wave's speed. Fails if so soft a one may be another motor's own: the refitted motor had it, and the
@@ -101,16 +106,14 @@ fn a_softer_contact_than_any_motors_own_is_named() {
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_what_is_likely_and_helps_a_little_is_none() {
-    let d = of_a_case("e", Kind::Null, 310);
-    assert_eq!(d.verdict, Verdict::None, "{:?}", d.suspected());
+    nothing_is_said("e", 310);
 }
 
 /// Nothing is hidden; contacts that spring back move the pulses by a tenth of a millisecond, which edges timed to microseconds show. Fails if the
 /// rotor's equation is believed to the last microsecond: then a delay of the start is named.
 #[test]
 fn pulses_a_tenth_of_a_millisecond_off_have_no_cause() {
-    let d = of_a_case("e", Kind::Null, 278);
-    assert_eq!(d.verdict, Verdict::None, "{:?}", d.suspected());
+    nothing_is_said("e", 278);
 }
 
 /// An eccentric wheel of 0.2 rad beside an asymmetry, in runs of which its error looks like words lost in four. Fails if lost words are not

@@ -101,8 +101,8 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
 }
 
 /// The widest slip band that may be the motor's own, two deviations from the file's or from another motor's: a wider one is
-/// `contact-stiffening`. In the generators, motors without an effect are fitted with up to 0.2.
-pub fn widest_own_band(home: &Parameters) -> f64 {
+/// `contact-stiffening`.
+fn widest_own_band(home: &Parameters) -> f64 {
     let [listed, other] = [home.get(P::SlipBand), OTHER_BAND.median];
     f64::max(listed * (2.0 * HARDLY_SEEN.log_sd).exp(), other * (2.0 * OTHER_BAND.log_sd).exp())
 }

@@ -128,12 +128,14 @@ impl Standing {
             sets.retain(|s| s.key().iter().all(stays));
         };
         judged.one_of.extend(likely_effects(ground, scorer, &sets, &struck, &judged, seed));
-        if judged.named.is_empty() && judged.one_of.is_empty() && judged.lives_in.is_empty() {
+        let nothing_said = judged.named.is_empty() && judged.one_of.is_empty();
+        if nothing_said && judged.lives_in.is_empty() {
             // Something is there, though none of the effects that were fitted says what.
             let sure = struck.iter().filter(|(_, p)| *p >= NAMED);
             judged.lives_in.extend(sure.map(|(e, _)| (ground.effects[*e].coordinate.name(), 0.0)));
         }
-        if judged.named.is_empty() && judged.one_of.is_empty() && !judged.withheld {
+        if nothing_said && !judged.withheld {
+            // What foretells next to nothing of other runs is no reason to doubt the motor.
             let helps = |term: &Term| term_gain(scorer, root, term) >= LEAST_GAIN;
             judged.lives_in.retain(|(place, _)| ground.terms.iter().find(|t| t.lives_in == *place).is_none_or(helps));
         }

@@ -42,17 +42,8 @@ const EXPECTATIONS: usize = 6;
 
 /// Fits `free` (the first must be the free speed) and `phased`, starting from `model` or, where that lies beyond the bounds, from there. The noise is
 /// of the tempered likelihood, in rpm²·s.
-pub fn refit(
-    problem: &Problem,
-    mut model: Model,
-    free: &[Free],
-    phased: &[Phased],
-    noise: Noise,
-    steps: usize,
-) -> Model {
-    for f in free {
-        model.parameters.set(f.parameter, model.parameters.get(f.parameter).clamp(f.bounds.0, f.bounds.1));
-    }
+pub fn refit(problem: &Problem, model: Model, free: &[Free], phased: &[Phased], noise: Noise, steps: usize) -> Model {
+    let model = within(model, free);
     let mut columns = columns_of(free);
     columns.extend(phased.iter().flat_map(|p| p.columns()));
     let mut power = vec![FIRST_POWER; phased.len()];
@@ -80,6 +71,14 @@ pub fn refit(
     // A fiftieth of a nat more is nothing that a verdict could hang on.
     let alike = |before: f64, after: f64| before - after < 0.04 * noise.variance;
     descend(model, steps, &DAMPINGS, linearise, attempt, alike)
+}
+
+/// The model with what is free moved to its bounds, where it lies beyond them.
+pub fn within(mut model: Model, free: &[Free]) -> Model {
+    for f in free {
+        model.parameters.set(f.parameter, model.parameters.get(f.parameter).clamp(f.bounds.0, f.bounds.1));
+    }
+    model
 }
 
 /// A model's surroundings: the equations of the runs, in which the common columns are steps and a run's own coefficients whole.

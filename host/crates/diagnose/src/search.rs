@@ -3,7 +3,7 @@
 //! Every set is refitted together with the baseline's own parameters and weighed by its evidence. From a set, all forms of all other
 //! effects are weighed linearly; those of the few best effects are refitted and join the pool. The search is bounded by counts.
 
-use super::baseline::{as_listed, at_speed, valleys, widest_own_band};
+use super::baseline::{as_listed, at_speed, valleys};
 use super::candidate::{LEAST_LOOK, free_of};
 use super::cycles::cycles;
 use super::discrepancy::FREE_FORM_COST;
@@ -11,7 +11,7 @@ use super::form_error::FormError;
 use super::ground::Ground;
 use super::library::{Coordinate, Form};
 use super::problem::Model;
-use super::refit::{coefficients, put_coefficients};
+use super::refit::{coefficients, put_coefficients, within};
 use super::rotor::{P, Parameters};
 use super::set::{Part, Set, key, strip};
 use super::verdict::MOST_OF_A_COURSE;
@@ -48,12 +48,16 @@ impl Ground<'_> {
     /// Searches from the refitted baseline, and from a motor beside a wrong `clock` where one was read off the records; every set that was
     /// visited, best first.
     pub fn search(&mut self, baseline: Model, clock: Option<&Model>, progress: &dyn Fn(&str, f64)) -> Vec<Set> {
-        let mut pool = vec![self.root(self.hardened(&baseline))];
+        let own = within(baseline.clone(), &self.free(&baseline, &[]));
+        let hardened = own.parameters.get(P::SlipBand) < baseline.parameters.get(P::SlipBand);
+        let mut pool = vec![self.root(own)];
         self.settle(&mut pool);
         self.terms.extend(cycles(self.problem, &pool[0].model.parameters));
         pool[0] = self.root(pool[0].model.clone());
         self.missing_friction(&mut pool);
-        self.soft_contact(baseline, &mut pool);
+        if hardened {
+            self.soft_contact(baseline, &mut pool);
+        }
         let at_lines: Vec<Model> = self.lines().map(|error| with_clock(&pool[0].model, error)).collect();
         for model in clock.into_iter().chain(&at_lines) {
             if let Some(set) = self.wrong_clock(model, &pool[0]) {
@@ -240,20 +244,12 @@ impl Ground<'_> {
         }
     }
 
-    /// The model with no softer a contact than may be the motor's own.
-    fn hardened(&self, model: &Model) -> Model {
-        let band = model.parameters.get(P::SlipBand).min(widest_own_band(&self.home));
-        Model { parameters: model.parameters.with(P::SlipBand, band), terms: model.terms.clone() }
-    }
-
-    /// What of the baseline's contact is too soft to be the motor's own, said as `contact-stiffening`: the root has hardened, and took for it
-    /// what else there is.
+    /// The whole softness of a baseline whose contact is too soft to be the motor's own, said as `contact-stiffening`: the root, which has hardened,
+    /// took what else there is for it.
     fn soft_contact(&self, mut baseline: Model, pool: &mut Vec<Set>) {
         let [band, listed] = [baseline.parameters.get(P::SlipBand), self.home.get(P::SlipBand)];
-        if band > widest_own_band(&self.home) {
-            baseline.parameters.set(P::SlipBand, listed);
-            self.put_as(P::SlipExtra, band - listed, baseline, pool);
-        }
+        baseline.parameters.set(P::SlipBand, listed);
+        self.put_as(P::SlipExtra, band - listed, baseline, pool);
     }
 
     /// A model whose own parameter departs from the motor's, as the set of the effect that has this `size`, refitted.
