@@ -54,12 +54,23 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
     let mut lost = vec![0; runs.len()];
     let mut best_improvement: f64 = 0.0;
     let windows: usize = problem.runs.iter().map(|r| r.windows.len()).sum();
-    for (i, run) in problem.runs.iter().enumerate() {
-        if !usable(run) {
-            continue;
-        }
-        let followed = Followed { run, angles: shifts.iter().map(|s| &s[i]).collect(), variance };
-        if let Some((jumps, improvement)) = followed.path((windows as f64).ln()) {
+    let followed = |i: usize, under_drive: bool| Followed {
+        run: &problem.runs[i],
+        angles: shifts.iter().map(|s| &s[i]).collect(),
+        variance,
+        under_drive,
+    };
+    let path = |i: usize, under_drive: bool| followed(i, under_drive).path((windows as f64).ln());
+    let usable: Vec<usize> = (0..runs.len()).filter(|i| usable(&problem.runs[*i])).collect();
+    let mut paths: Vec<_> = usable.iter().map(|i| path(*i, false)).collect();
+    // Where the drive ends words are lost in one run by chance; in several it is how the rotor stops.
+    let ends =
+        |(i, path): (&usize, &Option<Path>)| path.as_ref().is_some_and(|(jumps, _)| followed(*i, false).ends_in(jumps));
+    if usable.iter().zip(&paths).filter(|run| ends(*run)).count() > 1 {
+        paths = usable.iter().map(|i| path(*i, true)).collect();
+    }
+    for (i, path) in usable.into_iter().zip(paths) {
+        if let Some((jumps, improvement)) = path {
             best_improvement = best_improvement.max(improvement / jumps.len() as f64);
             lost[i] = jumps.iter().map(|j| j.words).sum();
             put_back(&mut runs[i], &jumps);
@@ -150,7 +161,12 @@ struct Followed<'a> {
     /// Simulated angle at each time, by how many words are lost before it.
     angles: Vec<&'a Vec<f64>>,
     variance: f64,
+    /// Whether gaps are looked for only where the drive goes on after them.
+    under_drive: bool,
 }
+
+/// Gaps of a run, and by how much they beat none.
+type Path = (Vec<Jump>, f64);
 
 /// How a state was come to: from how many windows before, and with what lost on the way.
 #[derive(Debug, Clone, Copy)]
@@ -164,7 +180,7 @@ const NEVER: Step = Step { cost: f64::INFINITY, windows: 0, jump: None };
 
 impl Followed<'_> {
     /// The cheapest gaps, and by how much they beat none.
-    fn path(&self, log_windows: f64) -> Option<(Vec<Jump>, f64)> {
+    fn path(&self, log_windows: f64) -> Option<Path> {
         let (n, states) = (self.run.windows.len(), self.angles.len());
         // What one gap must gain: its place among all windows, which of its kinds it is, and a margin of e⁻⁸.
         let penalty = 2.0 * (log_windows + (2.0 * AT_ONCE as f64).ln()) + 16.0;
@@ -180,6 +196,9 @@ impl Followed<'_> {
                 cheaper(&mut best[k + 1][state], stay);
                 for (words, windows) in (1..=AT_ONCE).flat_map(|words| [(words, 1), (words, 2)]) {
                     if state + words >= states || k + windows > n || windows == 2 && !self.may_be_joined(k) {
+                        continue;
+                    }
+                    if self.under_drive && !self.is_driven_after(k, state + words) {
                         continue;
                     }
                     let (cost, extra) = self.cost(k, windows, state, words);
@@ -206,6 +225,21 @@ impl Followed<'_> {
         let stay: f64 = (0..n).map(|k| self.cost(k, 1, 0, 0).0).sum();
         let improvement = stay - total + penalty * jumps.len() as f64;
         Some((jumps, improvement))
+    }
+
+    /// Whether a period of the drive follows a gap in window `k`, `lost` words being lost by then: without one, no PWM tells the time.
+    fn is_driven_after(&self, k: usize, lost: usize) -> bool {
+        let resumes_s = self.run.times[self.run.windows[k].from] + word_s(self.run) * lost as f64;
+        resumes_s + self.run.pwm_hz.recip() <= self.run.drive_end
+    }
+
+    /// Whether one of its gaps is where the drive ends.
+    fn ends_in(&self, jumps: &[Jump]) -> bool {
+        let mut lost = 0;
+        jumps.iter().any(|j| {
+            lost += j.words;
+            !self.is_driven_after(j.window, lost)
+        })
     }
 
     /// Whether a window and the next lie between three edges that follow each other.
@@ -292,12 +326,25 @@ mod tests {
         observe(&run, 400).expect("it turns")
     }
 
+    /// The same where the drive ends after `drive_s`.
+    fn driven(slot_ms: f64, words: usize, drive_s: f64) -> Observed {
+        Observed { drive_end: drive_s, ..turning(slot_ms, words) }
+    }
+
     fn path(run: &Observed, slot_ms: f64) -> Option<Vec<Jump>> {
+        followed(run, slot_ms, false).0
+    }
+
+    /// The cheapest gaps, and whether one is where the drive ends.
+    fn followed(run: &Observed, slot_ms: f64, under_drive: bool) -> (Option<Vec<Jump>>, bool) {
         let shifted = |m: usize| run.times.iter().map(|t| angle(t + word_s(run) * m as f64, slot_ms)).collect();
         let angles: Vec<Vec<f64>> = (0..=MOST).map(shifted).collect();
         // Edges are seen up to a millisecond late at both ends.
         let variance = 2.0 * (PITCH / (1e-3 * slot_ms) * RPM * run.time_spread).powi(2) / (1e-3 * slot_ms);
-        Followed { run, angles: angles.iter().collect(), variance }.path(6.0).map(|p| p.0)
+        let followed = Followed { run, angles: angles.iter().collect(), variance, under_drive };
+        let path = followed.path(6.0).map(|p| p.0);
+        let ends = path.as_ref().is_some_and(|jumps| followed.ends_in(jumps));
+        (path, ends)
     }
 
     /// Fails if words lost at once are not counted, if the edge that seems to be where the record was joined is taken for one, or if the time
@@ -315,6 +362,18 @@ mod tests {
             }
             assert!(path(&run, slot_ms).is_none());
         }
+    }
+
+    /// A word is lost after 0.7 s. Fails if that is where the drive ends though a period of it follows, or is not though none does; or if a
+    /// gap is found there where none is looked for.
+    #[test]
+    fn a_gap_is_where_the_drive_ends_if_no_period_follows_it() {
+        let is_there = |drive_s: f64, under_drive: bool| {
+            let (jumps, ends) = followed(&driven(17.7, 1, drive_s), 17.7, under_drive);
+            assert_eq!(jumps.map_or(0, |j| j.len()), 1);
+            ends
+        };
+        assert_eq!([is_there(0.8, false), is_there(0.74, false), is_there(0.74, true)], [false, true, false]);
     }
 
     /// Fails if a record without a gap has one.
