@@ -294,7 +294,8 @@ fn stands_out([without, with]: [f64; 2], duties: usize, ways: usize) -> bool {
 /// what single runs say. On the generators that may be used for choosing, effects that it doubted had up to 0.991 where they were not there.
 const BEYOND_DOUBT: f64 = 0.995;
 
-/// An effect that does not for certain help on runs it was not fitted to, with those that it cannot be told from; empty if all do.
+/// An effect that does not for certain help on runs it was not fitted to, with those that it cannot be told from; empty if all do. Where one of
+/// several is there, one that helps in its place is enough.
 fn uncertain_effects(
     ground: &Ground,
     scorer: &Scorer,
@@ -304,18 +305,31 @@ fn uncertain_effects(
     seed: u64,
 ) -> Vec<usize> {
     let accepted = judged.accepted(sets, Set::key, |_| false).unwrap_or(root);
-    let all = scorer.held_out(accepted);
+    let helps = |with: &Set, less: &HeldOut| {
+        let held = less.against(&scorer.held_out(with));
+        // Three closed loops have no spread to speak of: there, every gain needs its interval.
+        held.gain() >= LEAST_GAIN && !ground.problem.closed() || held.gain_interval(seed)[0] > 0.0
+    };
     let in_doubt = |p: &&Part| certain(judged, p.effect) < BEYOND_DOUBT && !judged.of_course.contains(&p.effect);
     let doubtful = accepted.parts.iter().filter(in_doubt).find(|p| {
-        let held = scorer.held_out(&without(ground, sets, accepted, p.effect)).against(&all);
-        // Three closed loops have no spread to speak of: there, every gain needs its interval.
-        let helps = held.gain() >= LEAST_GAIN && !ground.problem.closed();
-        !helps && held.gain_interval(seed)[0] <= 0.0
+        let less = scorer.held_out(&without(ground, sets, accepted, p.effect));
+        let instead = |rival: &usize| {
+            let key = key_with(accepted, p.effect, *rival);
+            sets.iter().find(|s| s.key() == key).is_some_and(|s| helps(s, &less))
+        };
+        !helps(accepted, &less) && !judged.set_of(p.effect).into_iter().flatten().any(instead)
     });
     match doubtful.map(|p| p.effect) {
         Some(effect) => judged.set_of(effect).cloned().unwrap_or_else(|| vec![effect]),
         None => Vec::new(),
     }
+}
+
+/// Indices of a set's effects with another one in the place of one of them, sorted.
+fn key_with(set: &Set, effect: usize, instead: usize) -> Vec<usize> {
+    let mut key: Vec<usize> = set.key().into_iter().map(|e| if e == effect { instead } else { e }).collect();
+    key.sort_unstable();
+    key
 }
 
 /// Effects of the best set that are likelier than not, with what looks like each, where nothing else is there to say and they help for certain
