@@ -5,6 +5,7 @@ use super::prior::Prior;
 use super::problem::{Model, Problem};
 use super::refit::{Free, objective, refit};
 use super::rotor::{P, Parameters};
+use rayon::prelude::*;
 use twum_fit::noise::Noise;
 
 /// The motor file is right: friction is measured to a third, and varies so much from day to day.
@@ -140,9 +141,9 @@ const FINAL: (usize, usize) = (4, 20);
 /// brakes in between, and one whose wave is slow lie in valleys of their own.
 pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) -> Model {
     let few = problem.thinned();
-    let sorted = |problem: &Problem, independent: f64, mut models: Vec<Model>| -> (Vec<Model>, Noise) {
+    let sorted = |problem: &Problem, independent: f64, models: Vec<Model>| -> (Vec<Model>, Noise) {
         let noise = models
-            .iter()
+            .par_iter()
             .map(|m| first_noise(problem, m, independent))
             .min_by(|a, b| a.variance.total_cmp(&b.variance))
             .unwrap_or(Noise { variance: 1.0, gain_spread: GAIN_SPREAD });
@@ -151,7 +152,7 @@ pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) ->
             let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
             objective(problem, model, noise) - 2.0 * noise.variance * prior
         };
-        let mut valued: Vec<(f64, Model)> = models.drain(..).map(|m| (value(&m), m)).collect();
+        let mut valued: Vec<(f64, Model)> = models.into_par_iter().map(|m| (value(&m), m)).collect();
         valued.sort_by(|a, b| a.0.total_cmp(&b.0));
         let models = valued.into_iter().map(|v| v.1).collect();
         (models, noise)
@@ -162,7 +163,7 @@ pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) ->
                 let free = with_any_contact(&m.parameters, home);
                 refit(problem, m, &free, &[], noise, steps)
             };
-            models.into_iter().take(count).map(fit).collect()
+            models.into_par_iter().take(count).map(fit).collect()
         };
     let independent_of_few = independent * (few.windows() / problem.windows().max(1.0)).min(1.0);
     let mut models = valleys(&few, home, &few.model(home.clone()));
@@ -189,7 +190,10 @@ pub fn valleys(problem: &Problem, home: &Parameters, model: &Model) -> Vec<Model
             }
         }
     }
-    rotors.into_iter().map(|parameters| at_speed(problem, Model { parameters, terms: model.terms.clone() })).collect()
+    rotors
+        .into_par_iter()
+        .map(|parameters| at_speed(problem, Model { parameters, terms: model.terms.clone() }))
+        .collect()
 }
 
 /// Parameters with the motor file's rotor.

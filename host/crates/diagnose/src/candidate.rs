@@ -177,7 +177,7 @@ impl Ground<'_> {
             }
         }
         let value = |m: &Model| self.misfit(m, &parts, noise);
-        let looked: Vec<Model> = starts.into_iter().map(|s| self.refitted(s, &parts, noise, 2)).collect();
+        let looked: Vec<Model> = starts.into_par_iter().map(|s| self.refitted(s, &parts, noise, 2)).collect();
         let best = looked.into_iter().min_by(|a, b| value(a).total_cmp(&value(b)));
         let model = best.unwrap_or(start);
         let model = self.refitted(model, &parts, noise, 6);

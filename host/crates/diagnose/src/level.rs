@@ -3,6 +3,7 @@
 use super::form_error::FORM_ERROR;
 use super::problem::Problem;
 use nalgebra::DMatrix;
+use rayon::prelude::*;
 
 /// Spreads of the gains: by chance, duty, direction, duty and direction, order.
 pub type Taus = [f64; 5];
@@ -120,13 +121,13 @@ impl Level {
     }
 
     /// The spreads that make the gains likeliest, from `start`.
-    pub fn best(&self, start: Taus, log_likelihood: &dyn Fn(&DMatrix<f64>) -> f64) -> Taus {
+    pub fn best(&self, start: Taus, log_likelihood: &(dyn Fn(&DMatrix<f64>) -> f64 + Sync)) -> Taus {
         self.climb(start, log_likelihood).1
     }
 
     /// The same from several starts: a spread over duty, direction or order, and the one by chance, each look like the other until both
     /// are moved. What was taken for chance is tried as each of the others.
-    pub fn best_of_all(&self, start: Taus, log_likelihood: &dyn Fn(&DMatrix<f64>) -> f64) -> Taus {
+    pub fn best_of_all(&self, start: Taus, log_likelihood: &(dyn Fn(&DMatrix<f64>) -> f64 + Sync)) -> Taus {
         let first = self.climb(start, log_likelihood);
         let usual = 3.0 * self.medians[0];
         let mut sizes = vec![usual];
@@ -138,12 +139,13 @@ impl Level {
                 taus
             })
         });
-        let found = elsewhere.map(|s| self.climb(s, log_likelihood));
-        found.fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
+        let elsewhere: Vec<Taus> = elsewhere.collect();
+        let found: Vec<(f64, Taus)> = elsewhere.into_par_iter().map(|s| self.climb(s, log_likelihood)).collect();
+        found.into_iter().fold(first, |best, next| if next.0 > best.0 { next } else { best }).1
     }
 
     /// By steps along one spread at a time that become finer.
-    fn climb(&self, start: Taus, log_likelihood: &dyn Fn(&DMatrix<f64>) -> f64) -> (f64, Taus) {
+    fn climb(&self, start: Taus, log_likelihood: &(dyn Fn(&DMatrix<f64>) -> f64 + Sync)) -> (f64, Taus) {
         let value = |t: &Taus| log_likelihood(&self.covariance(t)) + self.log_prior(t);
         let mut best = (value(&start), start);
         for factor in [2.5_f64, 1.6, 1.25] {

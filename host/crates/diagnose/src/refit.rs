@@ -47,10 +47,9 @@ pub fn refit(problem: &Problem, model: Model, free: &[Free], phased: &[Phased], 
     let mut columns = columns_of(free);
     columns.extend(phased.iter().flat_map(|p| p.columns()));
     let mut power = vec![FIRST_POWER; phased.len()];
-    let cost = |m: &Model, power: &[f64]| {
-        objective(problem, m, noise) + 2.0 * noise.variance * penalty(m, free, phased, power)
-    };
-    let linearise = |at: &Model| {
+    let cost =
+        |squares: f64, m: &Model, power: &[f64]| squares + 2.0 * noise.variance * penalty(m, free, phased, power);
+    let linearise = |(at, squares): &(Model, f64)| {
         let now = coefficients(at, phased);
         let designs = problem.design(at, &columns);
         let runs: Vec<Normal> = designs.par_iter().zip(&now).map(|(d, z)| equations(d, free.len(), z, noise)).collect();
@@ -58,19 +57,21 @@ pub fn refit(problem: &Problem, model: Model, free: &[Free], phased: &[Phased], 
             power = expected_power(&runs, free.len(), &power, noise.variance);
         }
         let pulls = free.iter().map(|f| pull(f, at, noise.variance)).collect();
-        let before = cost(at, &power);
+        let before = cost(*squares, at, &power);
         (Around { runs, pulls, now, power: power.clone() }, before)
     };
-    let attempt = |at: &Model, around: &Around, damping: f64| {
+    let attempt = |(at, _): &(Model, f64), around: &Around, damping: f64| {
         let precision = precision(&around.power, noise.variance);
         let to = solve(&around.runs, &around.pulls, &precision, damping)?;
         let trial = moved(at, free, phased, around, &to, 1.0 / (1.0 + damping));
-        let after = cost(&trial, &around.power);
-        Some((trial, after))
+        let squares = objective(problem, &trial, noise);
+        let after = cost(squares, &trial, &around.power);
+        Some(((trial, squares), after))
     };
     // A fiftieth of a nat more is nothing that a verdict could hang on.
     let alike = |before: f64, after: f64| before - after < 0.04 * noise.variance;
-    descend(model, steps, &DAMPINGS, linearise, attempt, alike)
+    let squares = objective(problem, &model, noise);
+    descend((model, squares), steps, &DAMPINGS, linearise, attempt, alike).0
 }
 
 /// The model with what is free moved to its bounds, where it lies beyond them.

@@ -15,6 +15,7 @@ use super::refit::{coefficients, put_coefficients, within};
 use super::rotor::{P, Parameters};
 use super::set::{Part, Set, key, strip};
 use super::verdict::MOST_OF_A_COURSE;
+use rayon::prelude::*;
 use twum_fit::noise::Noise;
 
 /// Most effects in a set.
@@ -149,8 +150,10 @@ impl Ground<'_> {
             let leader = best(pool).clone();
             if !led.contains(&leader.key()) {
                 led.push(leader.key());
-                for k in 0..leader.parts.len() {
-                    self.put(self.without(&leader, k, LAST_STEPS, &pool[0]), pool);
+                let less = |k: usize| self.without(&leader, k, LAST_STEPS, &pool[0]);
+                let sets: Vec<Set> = (0..leader.parts.len()).into_par_iter().map(less).collect();
+                for set in sets {
+                    self.put(set, pool);
                 }
             }
         }
@@ -188,12 +191,17 @@ impl Ground<'_> {
         let noise_of_few = Noise { variance: noise.variance * share, ..noise };
         let motors = [&pool[0], other].map(|set| set.model.parameters.clone());
         let held = |effect: &usize| ground.held(*effect, &motors, noise_of_few);
-        let mut alone: Vec<(f64, Part, Parameters)> = self.usable.iter().filter_map(held).collect();
+        let mut alone: Vec<(f64, Part, Parameters)> = self.usable.par_iter().filter_map(held).collect();
         alone.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (_, part, parameters) in alone.into_iter().take(TRIED) {
+        alone.truncate(TRIED);
+        let root = &pool[0];
+        let refitted = |(_, part, parameters): (f64, Part, Parameters)| {
             let parts = vec![part];
             let model = self.refitted(self.problem.model(parameters), &parts, noise, 8);
-            let set = self.weigh_set(parts, model, Some(&pool[0]));
+            self.weigh_set(parts, model, Some(root))
+        };
+        let sets: Vec<Set> = alone.into_par_iter().map(refitted).collect();
+        for set in sets {
             self.put(set, pool);
         }
     }
@@ -314,11 +322,13 @@ impl Ground<'_> {
             let set = &pool[at];
             let noise = self.noise(set);
             let value = |m: &Model| self.misfit(m, &set.parts, noise);
-            let mut others: Vec<(f64, Model)> =
-                valleys(self.problem, &self.home, &set.model).into_iter().skip(1).map(|m| (value(&m), m)).collect();
+            let others = valleys(self.problem, &self.home, &set.model).into_par_iter().skip(1);
+            let mut others: Vec<(f64, Model)> = others.map(|m| (value(&m), m)).collect();
             others.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let near = others.into_iter().take(LOOKED_AT).map(|(_, m)| self.refitted(m, &set.parts, noise, FEW_STEPS));
-            let Some(best) = near.min_by(|a, b| value(a).total_cmp(&value(b))) else { continue };
+            others.truncate(LOOKED_AT);
+            let near = others.into_par_iter().map(|(_, m)| self.refitted(m, &set.parts, noise, FEW_STEPS));
+            let near: Vec<Model> = near.collect();
+            let Some(best) = near.into_iter().min_by(|a, b| value(a).total_cmp(&value(b))) else { continue };
             let model = self.refitted(best, &set.parts, noise, 8);
             let again = self.weigh_set(set.parts.clone(), model, Some(&pool[0]));
             if again.score > pool[at].score {
@@ -405,16 +415,19 @@ impl Ground<'_> {
             let gap = self.weigh_set(parts, strip(&best.model, &gone), Some(&pool[0]));
             let mut seen = Vec::new();
             let mut others = 0;
-            for c in self.candidates(&gap, &self.usable, LEAST_LOOK) {
+            let mut rivals = self.candidates(&gap, &self.usable, LEAST_LOOK);
+            rivals.retain(|c| {
                 if seen.contains(&c.effect) || c.effect == gone.effect {
-                    continue;
+                    return false;
                 }
                 seen.push(c.effect);
                 let like = self.effects[c.effect].looks_like(effect);
                 others += usize::from(!like);
-                if like || best.parts.len() > 1 && others <= TRIED {
-                    self.put(self.with(&gap, &c, &pool[0]), pool);
-                }
+                like || best.parts.len() > 1 && others <= TRIED
+            });
+            let sets: Vec<Set> = rivals.par_iter().map(|c| self.with(&gap, c, &pool[0])).collect();
+            for set in sets {
+                self.put(set, pool);
             }
             // Beside what was found since, another form of the effect itself may be the nearer one.
             if let Some(base) = pool.iter().find(|s| s.key() == gap.key()).cloned() {
