@@ -378,11 +378,11 @@ pub fn some_of_each(runs: &mut Vec<Observed>, each: usize) {
     });
 }
 
-/// The same, and the first 2.5 s of each.
-pub fn thin(runs: &mut Vec<Observed>, each: usize) {
+/// The same, and the first `seconds` of each.
+pub fn thin(runs: &mut Vec<Observed>, each: usize, seconds: f64) {
     some_of_each(runs, each);
     for r in runs {
-        let keep = r.times.iter().take_while(|t| **t <= 2.5).count().max(2);
+        let keep = r.times.iter().take_while(|t| **t <= seconds).count().max(2);
         r.times.truncate(keep);
         r.angles.truncate(keep);
         r.level.truncate(keep);

@@ -11,6 +11,9 @@ use twum_record::measurement::RunKind;
 /// rad/s to revolutions a minute.
 pub const RPM: f64 = 60.0 / TAU;
 
+/// The first seconds of a run that tell one kind of motor from another: a rotor that coasts has stopped.
+const FIRST_S: f64 = 2.5;
+
 /// The measured runs as one fitting problem.
 #[derive(Debug, Clone)]
 pub struct Problem {
@@ -80,17 +83,17 @@ impl Problem {
 
     /// One repetition of each kind of run, the first seconds of each: enough to tell one kind of motor from another.
     pub fn thinned(&self) -> Self {
-        self.less(thin)
+        self.less(|runs| thin(runs, 1, FIRST_S))
     }
 
     /// One repetition of each kind of run.
     pub fn one_of_each(&self) -> Self {
-        self.less(some_of_each)
+        self.less(|runs| some_of_each(runs, 1))
     }
 
-    fn less(&self, thin: fn(&mut Vec<Observed>, usize)) -> Self {
+    fn less(&self, thin: fn(&mut Vec<Observed>)) -> Self {
         let mut runs = self.runs.clone();
-        thin(&mut runs, 1);
+        thin(&mut runs);
         Self::new(runs).with(self.formulas.clone())
     }
 
