@@ -417,7 +417,6 @@ mod tests {
         assert_eq!((of(0.4, 0.02).one_of, of(0.4, 0.02).lives_in), (vec![], vec![("time", 0.4)]));
     }
 
-    /// Fails if a cause that takes most of what the runs differ by falls for a spread that only shows beside it, or one stands that makes them
     /// Fails if nothing is said of motors whose runs differ by what is not believed, because a set that is not certain explains it.
     #[test]
     fn what_no_set_says_is_left_over() {
@@ -431,6 +430,7 @@ mod tests {
         assert!(lives_in(20.0).is_empty());
     }
 
+    /// Fails if a cause that takes most of what the runs differ by falls for a spread that only shows beside it, or one stands that makes them
     /// differ by more than they did.
     #[test]
     fn a_cause_may_not_make_the_runs_differ_by_more() {
