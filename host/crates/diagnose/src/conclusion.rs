@@ -13,8 +13,8 @@ use super::refit::{objective, refit};
 use super::set::{Part, Set, strip};
 use super::stats::HeldOut;
 use super::verdict::{
-    ALIKE, Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, MOST_OF_A_COURSE, NAMED, TEMPERATURE,
-    Visited, judge,
+    ALIKE, Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, MOST_OF_A_COURSE, NAMED, POSSIBLE,
+    TEMPERATURE, Visited, judge,
 };
 use twum_fit::noise::Noise;
 use twum_record::measurement::RunKind;
@@ -295,7 +295,7 @@ fn stands_out([without, with]: [f64; 2], duties: usize, ways: usize) -> bool {
 const BEYOND_DOUBT: f64 = 0.995;
 
 /// An effect that does not for certain help on runs it was not fitted to, with those that it cannot be told from; empty if all do. Where one of
-/// several is there, one that helps in its place is enough.
+/// several is there, a possible one that helps in its place is enough.
 fn uncertain_effects(
     ground: &Ground,
     scorer: &Scorer,
@@ -305,8 +305,9 @@ fn uncertain_effects(
     seed: u64,
 ) -> Vec<usize> {
     let accepted = judged.accepted(sets, Set::key, |_| false).unwrap_or(root);
-    let helps = |with: &Set, less: &HeldOut| {
-        let held = less.against(&scorer.held_out(with));
+    let all = scorer.held_out(accepted);
+    let helps = |with: &HeldOut, less: &HeldOut| {
+        let held = less.against(with);
         // Three closed loops have no spread to speak of: there, every gain needs its interval.
         held.gain() >= LEAST_GAIN && !ground.problem.closed() || held.gain_interval(seed)[0] > 0.0
     };
@@ -315,9 +316,11 @@ fn uncertain_effects(
         let less = scorer.held_out(&without(ground, sets, accepted, p.effect));
         let instead = |rival: &usize| {
             let key = key_with(accepted, p.effect, *rival);
-            sets.iter().find(|s| s.key() == key).is_some_and(|s| helps(s, &less))
+            sets.iter().find(|s| s.key() == key).is_some_and(|s| helps(&scorer.held_out(s), &less))
         };
-        !helps(accepted, &less) && !judged.set_of(p.effect).into_iter().flatten().any(instead)
+        // What is in the set for its looks alone does not speak for the others.
+        let possible = |rival: &&usize| inclusion(judged, **rival) >= POSSIBLE;
+        !helps(&all, &less) && !judged.set_of(p.effect).into_iter().flatten().filter(possible).any(instead)
     });
     match doubtful.map(|p| p.effect) {
         Some(effect) => judged.set_of(effect).cloned().unwrap_or_else(|| vec![effect]),
