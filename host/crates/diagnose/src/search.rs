@@ -151,10 +151,7 @@ impl Ground<'_> {
             if !led.contains(&leader.key()) {
                 led.push(leader.key());
                 let less = |k: usize| self.without(&leader, k, LAST_STEPS, &pool[0]);
-                let sets: Vec<Set> = (0..leader.parts.len()).into_par_iter().map(less).collect();
-                for set in sets {
-                    self.put(set, pool);
-                }
+                self.put_all((0..leader.parts.len()).into_par_iter().map(less).collect(), pool);
             }
         }
     }
@@ -200,10 +197,7 @@ impl Ground<'_> {
             let model = self.refitted(self.problem.model(parameters), &parts, noise, 8);
             self.weigh_set(parts, model, Some(root))
         };
-        let sets: Vec<Set> = alone.into_par_iter().map(refitted).collect();
-        for set in sets {
-            self.put(set, pool);
-        }
+        self.put_all(alone.into_par_iter().map(refitted).collect(), pool);
     }
 
     /// Effects that a course which each run has of its own may be, whatever they weigh: the phase of each run costs the evidence more than such a
@@ -425,10 +419,7 @@ impl Ground<'_> {
                 others += usize::from(!like);
                 like || best.parts.len() > 1 && others <= TRIED
             });
-            let sets: Vec<Set> = rivals.par_iter().map(|c| self.with(&gap, c, &pool[0])).collect();
-            for set in sets {
-                self.put(set, pool);
-            }
+            self.put_all(rivals.par_iter().map(|c| self.with(&gap, c, &pool[0])).collect(), pool);
             // Beside what was found since, another form of the effect itself may be the nearer one.
             if let Some(base) = pool.iter().find(|s| s.key() == gap.key()).cloned() {
                 self.expand(&base, &[gone.effect], 1, true, pool);
@@ -443,6 +434,13 @@ impl Ground<'_> {
             Some(k) if pool[k].score >= set.score => {}
             Some(k) => pool[k] = set,
             None => pool.push(set),
+        }
+    }
+
+    /// The sets in the pool, one after the other.
+    fn put_all(&self, sets: Vec<Set>, pool: &mut Vec<Set>) {
+        for set in sets {
+            self.put(set, pool);
         }
     }
 
