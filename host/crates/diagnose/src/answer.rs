@@ -296,6 +296,10 @@ pub fn text(d: &Diagnosis) -> String {
     line(match d.verdict {
         Verdict::Named => format!("NAMED: {}", d.named().join(", ")),
         Verdict::Ambiguous => format!("AMBIGUOUS: one of {}", d.candidates().join(", ")),
+        Verdict::Unknown if !d.candidates().is_empty() => {
+            let possible = d.candidates().join(", ");
+            format!("UNKNOWN: no effect of the library explains for certain what is there; possible: {possible}")
+        }
         Verdict::Unknown => "UNKNOWN: something is there that no effect of the library explains".to_owned(),
         Verdict::None => "NONE: nothing beyond the noise floor".to_owned(),
     });

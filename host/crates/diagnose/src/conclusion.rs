@@ -335,8 +335,9 @@ fn key_with(set: &Set, effect: usize, instead: usize) -> Vec<usize> {
     key
 }
 
-/// Effects of the best set that are likelier than not, with what looks like each, where nothing else is there to say and they help for certain
-/// on whole runs they were not fitted to: those are a second opinion, which knows nothing of priors and of how many residuals count.
+/// Effects of the best set that are likelier than not, with what looks like each, where they help for certain on whole runs they were not fitted
+/// to: those are a second opinion, which knows nothing of priors and of how many residuals count. Beside what no effect explains they are possible
+/// causes, and no answer.
 fn likely_effects(
     ground: &Ground,
     scorer: &Scorer,
@@ -347,8 +348,7 @@ fn likely_effects(
 ) -> Vec<Vec<usize>> {
     let mut found: Vec<Vec<usize>> = Vec::new();
     let replicated = ground.problem.runs.len() >= LEAST_RUNS && !ground.problem.closed();
-    let nothing_else = !judged.withheld && judged.lives_in.is_empty() && struck.is_empty();
-    let Some(best) = sets.first().filter(|_| replicated && nothing_else) else { return found };
+    let Some(best) = sets.first().filter(|_| replicated && struck.is_empty()) else { return found };
     let unsaid = |e: usize| judged.inclusion.iter().any(|i| i.0 == e) && !judged.says(e);
     for part in best.parts.iter().filter(|p| unsaid(p.effect)) {
         let alike = |e: &usize| *e == part.effect || ground.effects[*e].looks_like(&ground.effects[part.effect]);
