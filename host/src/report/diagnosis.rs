@@ -8,6 +8,7 @@ use crate::diagnose::conclusion::Outcome;
 use crate::diagnose::inertial::InertialOutcome;
 use crate::diagnose::problem::Problem;
 use serde_json::Value;
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 /// Builds the HTML report. `title` names the data.
@@ -92,6 +93,15 @@ pub fn sentence(d: &Value) -> String {
     });
     let effects = || d["effects"].as_array().into_iter().flatten();
     let with_status = |status: &'static str| effects().filter(move |e| e["status"] == status);
+    let possible = || {
+        let with_rivals = |e: &'_ Value| {
+            let rivals = e["conflicts_with"].as_array().cloned().unwrap_or_default();
+            std::iter::once(e["name"].clone()).chain(rivals)
+        };
+        let names = with_status("ambiguous").flat_map(with_rivals);
+        let names: BTreeSet<String> = names.filter_map(|name| name.as_str().map(str::to_owned)).collect();
+        names.into_iter().collect::<Vec<_>>().join(", ")
+    };
     match d["verdict"].as_str() {
         Some("none") => match off("baseline") {
             Some(rpm) => {
@@ -105,17 +115,9 @@ pub fn sentence(d: &Value) -> String {
                 off("extended").map_or(String::new(), |rpm| format!(", and with it in the model {rpm} are left"));
             format!("{missed}; the cause is {}{left}.", names.join(" and "))
         }
-        Some("ambiguous") => {
-            let rivals = |e: &'_ Value| e["conflicts_with"].as_array().cloned().unwrap_or_default();
-            let mut open: Vec<Value> = Vec::new();
-            for effect in with_status("ambiguous") {
-                open.push(effect["name"].clone());
-                open.extend(rivals(effect));
-            }
-            let mut names: Vec<&str> = open.iter().filter_map(Value::as_str).collect();
-            names.sort_unstable();
-            names.dedup();
-            format!("{missed}; the cause is one of {}.", names.join(", "))
+        Some("ambiguous") => format!("{missed}; the cause is one of {}.", possible()),
+        _ if with_status("ambiguous").next().is_some() => {
+            format!("{missed}, and no cause in the library explains it for certain; possible: {}.", possible())
         }
         _ => format!("{missed}, and no cause in the library explains it."),
     }
@@ -239,6 +241,9 @@ mod tests {
         let d = json!({"verdict": "none", "effects": [], "baseline": {"rmse_speed_rpm": null}});
         assert_eq!(sentence(&d), "Nothing is wrong: what the simulation misses is noise.");
         let d = json!({"verdict": "unknown", "effects": [], "baseline": before});
-        assert!(sentence(&d).contains("3.24 rpm, and no cause"));
+        assert!(sentence(&d).ends_with("3.24 rpm, and no cause in the library explains it."));
+        let effects = json!([{"name": "unequal-edges", "status": "ambiguous", "conflicts_with": []}]);
+        let d = json!({"verdict": "unknown", "effects": effects, "baseline": before});
+        assert!(sentence(&d).ends_with("explains it for certain; possible: unequal-edges."));
     }
 }

@@ -89,7 +89,7 @@ fn what_is_likely_and_helps_for_certain_is_said_and_not_named() {
 }
 
 /// A saturation or, for all that shows, a sag with nine tenths of the probability; without them the runs differ over the duty by more than is
-/// believed. Fails if that alone is said, or if it is not.
+/// believed. Fails if either is kept back: the effects, or that a tenth is left for something unknown over the duty.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_what_is_likely_is_said_beside_what_is_left_without_it() {

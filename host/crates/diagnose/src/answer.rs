@@ -293,11 +293,11 @@ pub fn text(d: &Diagnosis) -> String {
     let mut line = |s: String| {
         let _ = writeln!(out, "{s}");
     };
+    let possible = d.candidates().join(", ");
     line(match d.verdict {
         Verdict::Named => format!("NAMED: {}", d.named().join(", ")),
-        Verdict::Ambiguous => format!("AMBIGUOUS: one of {}", d.candidates().join(", ")),
-        Verdict::Unknown if !d.candidates().is_empty() => {
-            let possible = d.candidates().join(", ");
+        Verdict::Ambiguous => format!("AMBIGUOUS: one of {possible}"),
+        Verdict::Unknown if !possible.is_empty() => {
             format!("UNKNOWN: no effect of the library explains for certain what is there; possible: {possible}")
         }
         Verdict::Unknown => "UNKNOWN: something is there that no effect of the library explains".to_owned(),

@@ -2,7 +2,7 @@
 
 use super::described::{describe, term_gain};
 use super::discrepancy::Term;
-use super::finding::{Described, Estimate, Finding, Status, Unknown};
+use super::finding::{Described, Estimate, Finding, NOT_ALL, Status, Unknown};
 use super::ground::Ground;
 use super::held_out::{Chance, LEAST_RUNS, Scorer};
 use super::level::DUTY;
@@ -243,9 +243,7 @@ impl View<'_> {
                 share: 0.0,
                 note: match (likely && !rival, struck.iter().any(|(e, _)| *e == effect)) {
                     (_, true) => "likely, but on runs it was not fitted to it does not help for certain".to_owned(),
-                    (true, _) if judged.withheld => {
-                        "explains part of it, but more lives where no effect acts: not the cause".to_owned()
-                    }
+                    (true, _) if judged.withheld => NOT_ALL.to_owned(),
                     (true, _) => format!(
                         "not certain: its probability is {:.2}, and a name takes {NAMED}; to decide: {}",
                         inclusion(judged, effect),

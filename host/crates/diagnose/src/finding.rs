@@ -11,6 +11,9 @@ pub enum Status {
     Rejected,
 }
 
+/// What is noted of an effect beside which more is left than may stay beside a cause.
+pub const NOT_ALL: &str = "explains part of it, but more is there that it does not explain: not the cause";
+
 /// An estimated parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {

@@ -1,6 +1,6 @@
 //! Scores, numbers and left-overs of the sets that were visited.
 
-use super::super::finding::{Estimate, Finding, Status, Unknown};
+use super::super::finding::{Estimate, Finding, NOT_ALL, Status, Unknown};
 use super::super::stats::HeldOut;
 use super::super::verdict::{Background, Judgement, LARGEST_P, LEAST_GAIN, MOST_BESIDE, TEMPERATURE, Visited, judge};
 use super::compensation::Fitted;
@@ -333,7 +333,7 @@ impl View<'_> {
                 note: if struck.contains(&effect) {
                     "likely, but where it was not fitted it does not help for certain"
                 } else if judged.withheld && probability > 0.0 {
-                    "explains part of it, but more lives where no effect acts: not the cause"
+                    NOT_ALL
                 } else {
                     ""
                 }
