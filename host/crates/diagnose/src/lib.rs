@@ -24,6 +24,7 @@
 //!
 //! `docs/diagnosis.md` walks through it; `docs/detection.md` says how often it errs.
 
+mod amplitude;
 pub mod answer;
 pub mod baseline;
 pub mod cache;

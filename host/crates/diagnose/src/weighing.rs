@@ -1,5 +1,6 @@
 //! What a refitted set weighs: its evidence, its priors, what effects cost, and the terms without physics that the data ask for beside it.
 
+use super::amplitude::of_one_amplitude;
 use super::baseline::first_noise;
 use super::design::{Basis, Column};
 use super::discrepancy::{FREE_FORM_COST, SIZE, TERM_COST, Term};
@@ -101,7 +102,9 @@ impl Ground<'_> {
         let coordinates: std::collections::BTreeSet<_> =
             parts.iter().map(|p| self.effects[p.effect].coordinate as u8).collect();
         let shared = (parts.len() - coordinates.len()) as f64;
-        let score = beside.log + prior + amplitude - EFFECT_COST * parts.len() as f64 - SAME_COORDINATE * shared - ways;
+        let same = of_one_amplitude(&scale.equations.runs, &scale.base, &weighed);
+        let costs = EFFECT_COST * parts.len() as f64 + SAME_COORDINATE * shared + ways;
+        let score = beside.log + same + prior + amplitude - costs;
         Set {
             parts,
             model,
