@@ -71,6 +71,17 @@ fn an_eccentric_wheel_shows_in_less_than_a_turn() {
     both_are_found("e", 277, ["clock-error", "encoder-eccentricity"]);
 }
 
+/// A friction that falls by a third in the first ten of 60 runs. Fails if no form of wear is one of the friction that comes to an end, or if what
+/// the other runs do not have may be a runout: that was NAMED.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_friction_that_runs_in_is_wear_and_no_runout() {
+    let d = of_a_case("e", Kind::Single, 375);
+    assert_eq!(d.named(), ["run-in-wear"]);
+    let friction = &d.effects[0].parameters["friction_change_once_run_in"];
+    assert!((-0.5..-0.2).contains(&friction.value), "{friction:?}");
+}
+
 /// A word lost in each of two slow runs of 19, one of them as the drive ends. Fails if a gap with an odd number of edges in it is none, if an edge
 /// where the record was joined is compared, or if a clock is preferred because another error is larger than what the gaps take.
 #[test]

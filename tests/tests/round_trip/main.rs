@@ -259,15 +259,17 @@ fn a_dead_zone_that_cannot_be_judged_stays_a_rival() {
     assert!(said.conflicts_with.iter().any(|rival| rival == "dead-zone"), "{:?}", said.conflicts_with);
 }
 
-/// Fails if the search does not know a form that the motor model has: duties cut to the step below, a delay that grows with the pause.
+/// Fails if the search does not know a form that the motor model has: duties cut to the step below, a delay that grows with the pause,
+/// a speed that runs in.
 #[test]
 fn other_forms_of_the_model_are_found() {
     let motor = Motor::pcbmotor_30mm();
     let design = Design { duties: &[0.45, 0.17, 0.83, 1.0, 0.31, 0.68], trials: 2, seconds: 1.5 };
     type Form<'a> = (&'a str, &'a [f64], &'a str, [f64; 2]);
-    let forms: [Form; 2] = [
+    let forms: [Form; 3] = [
         ("duty-quantisation", &[0.1, 1.0], "rounds_down", [1.0, 1.0]),
         ("start-delay", &[4e-3, 0.01], "rest_s", [0.004, 0.025]),
+        ("run-in-wear", &[0.0, 2.0, -0.3], "change_once_run_in", [-0.5, -0.05]),
     ];
     for (name, values, number, [least, most]) in forms {
         let mut effects = EffectSet::default();

@@ -168,8 +168,11 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
         }
         "run-in-wear" => {
             let logarithms = up_to((1.0 + revolutions / of(P::WearRevolutions).max(1e-6)).ln());
+            let run_in = up_to(-(-revolutions / of(P::WearRevolutions).max(1e-6)).exp_m1());
             vec![
                 ("gain", convert.voltage(of(P::Wear), &logarithms).ok_or(NOT_REACHED)?),
+                ("gain_run_in", convert.voltage(of(P::WearRunIn), &run_in).ok_or(NOT_REACHED)?),
+                ("friction_run_in", of(P::WearFriction)),
                 ("revolutions", of(P::WearRevolutions)),
             ]
         }

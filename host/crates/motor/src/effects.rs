@@ -301,13 +301,17 @@ effects! {
         /// Time constant of the supply (s).
         tau_s: "s", Scale, [1e-4, 0.25], 5e-3, 5e-3;
     }
-    /// The contact runs in: drive strength·(1 + gain·ln(1 + revolutions/r0)). Revolutions are carried from run to run in
-    /// [`super::motor_plant::History`].
+    /// The contact runs in: drive strength·(1 + gain·ln(1 + x) + gain_run_in·(1 − exp(−x))), friction·(1 + friction_run_in·(1 − exp(−x))),
+    /// x the revolutions over r0. Revolutions are carried from run to run in [`super::motor_plant::History`].
     run_in_wear: RunInWear, "run-in-wear", Plant {
-        /// Gain (1).
+        /// What the drive gains for ever (1).
         gain: "1", Linear, [-0.5, 0.5], 0.0, 0.03;
         /// r0 (revolutions).
         revolutions: "rev", Scale, [0.01, 1e5], 10.0, 10.0;
+        /// What it has gained once run in (1).
+        gain_run_in: "1", Linear, [-0.6, 1.0], 0.0, 0.0;
+        /// What the friction has gained then, under the wave and without it (1).
+        friction_run_in: "1", Linear, [-0.9, 3.0], 0.0, 0.0;
     }
     /// No motion below a duty: max(u − threshold, 0), or a gate that opens at a duty and then lets all of it through,
     /// u/(1 + exp(−(u − gate_duty)/gate_width)).
@@ -400,6 +404,15 @@ effects! {
         ki: "1", Linear, [-1.0, 1000.0], 0.0, 1.0;
         /// Factor on kd, less 1 (1).
         kd: "1", Linear, [-1.0, 1000.0], 0.0, 1.0;
+    }
+}
+
+impl RunInWear {
+    /// Relative changes of the drive's strength and of the friction after so many revolutions.
+    pub fn changes(&self, revolutions: f64) -> [f64; 2] {
+        let x = revolutions / self.revolutions;
+        let done = -(-x).exp_m1();
+        [self.gain * x.ln_1p() + self.gain_run_in * done, self.friction_run_in * done]
     }
 }
 

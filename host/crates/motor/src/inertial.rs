@@ -77,7 +77,9 @@ impl InertialPlant {
             torque *= 1.0 - e.sag * self.current;
         }
         if let Some(e) = e.run_in_wear {
-            torque *= (1.0 + e.gain * (self.revolutions / e.revolutions).ln_1p()).max(0.0);
+            let [gain, friction] = e.changes(self.revolutions);
+            torque *= (1.0 + gain).max(0.0);
+            limit *= (1.0 + friction).max(0.0);
         }
         if let Some(e) = e.gravity_load {
             load += e.torque_nm * (self.position_rad + e.phase_rad).sin();

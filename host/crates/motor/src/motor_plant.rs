@@ -224,7 +224,11 @@ impl MotorPlant {
             m.voltage *= 1.0 - e.voltage_loss * drive.duty.powf(e.bend_power);
         }
         if let Some(e) = e.run_in_wear {
-            m.voltage *= (1.0 + e.gain * (self.history.revolutions / e.revolutions).ln_1p()).max(0.0);
+            let [gain, friction] = e.changes(self.history.revolutions);
+            m.voltage *= (1.0 + gain).max(0.0);
+            let friction = (1.0 + friction).clamp(LEAST_FACTOR, 1.0 / LEAST_FACTOR);
+            m.friction *= friction;
+            m.off_friction *= friction;
         }
         for formula in &e.formulas {
             let now = Now {

@@ -300,11 +300,12 @@ fn blending_is_as_good_as_integrating() {
     let p = parameters(Flavour::Physical);
     let model = PlantModel::Motor { parameters: p, flavour: Flavour::Physical, solver: Solver::Averaged };
     let program = Program::constant(0.4, Direction::Cw, 2.0, 2.1);
-    let cases: [(&str, &[f64]); 5] = [
+    let cases: [(&str, &[f64]); 6] = [
         ("resonance-heating", &[200.0, 1.0]),
         ("frequency-settling", &[-400.0, 0.05]),
         ("preload-runout", &[0.15, 1.0]),
         ("run-in-wear", &[0.03, 0.5]),
+        ("run-in-wear", &[0.0, 0.5, -0.1, -0.4]),
         ("gravity-load", &[2e-3, 0.5]),
     ];
     for (name, values) in cases {

@@ -7,19 +7,27 @@ use crate::rotor::P;
 const REVOLUTIONS: LogNormal = LogNormal { median: 5.0, log_sd: 1.5 };
 
 pub(super) fn effect() -> Effect {
+    let for_ever = [0.3, 3.0, 30.0, 300.0].map(|r0| (one(P::Wear, 0.05, 0.002, (-0.5, 0.5)), r0));
+    let speed = one(P::WearRunIn, 0.1, 0.005, (-0.5, 1.0));
+    let friction = one(P::WearFriction, 0.3, 0.03, (-0.9, 3.0));
+    let mut both = speed.clone();
+    both.sizes.extend(friction.sizes.clone());
+    let run_in = [speed, friction, both].into_iter().flat_map(|form| [2.0, 20.0].map(|r0| (form.clone(), r0)));
     Effect {
         name: "run-in-wear".into(),
         says: "the motor changes for good from run to run, with the distance it has turned".into(),
-        equation: "speed·(1 + w·log(1 + revs/r₀))".into(),
+        equation: "speed·(1 + w·log(1 + revs/r₀)), or speed and friction·(1 + w·(1 − exp(−revs/r₀)))".into(),
         coordinate: Coordinate::Order,
         needs: &[Need::Order],
-        forms: [0.3, 3.0, 30.0, 300.0]
-            .map(|r0| {
-                one(P::Wear, 0.05, 0.002, (-0.5, 0.5)).shaped(P::WearRevolutions, r0, REVOLUTIONS, (0.03, 1000.0))
-            })
-            .into(),
+        forms: for_ever
+            .into_iter()
+            .chain(run_in)
+            .map(|(form, r0)| form.shaped(P::WearRevolutions, r0, REVOLUTIONS, (0.03, 1000.0)))
+            .collect(),
         reported: vec![
             reported("change_per_log_revolution", "1", P::Wear),
+            reported("change_once_run_in", "1", P::WearRunIn),
+            reported("friction_change_once_run_in", "1", P::WearFriction),
             reported("run_in_revolutions", "1", P::WearRevolutions),
         ],
         conflicts: &["resonance-heating"],

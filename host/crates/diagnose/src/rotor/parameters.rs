@@ -77,6 +77,10 @@ pub enum P {
     SagTime,
     /// `run-in-wear`: relative speed change per unit of log(1 + revs/r0).
     Wear,
+    /// `run-in-wear`: relative speed change once run in, by 1 − exp(−revs/r0).
+    WearRunIn,
+    /// `run-in-wear`: the same of the friction, under the wave and without it.
+    WearFriction,
     /// `run-in-wear`: r0 in revolutions.
     WearRevolutions,
     /// `backlash`: lost motion at a reversal, in rad.
@@ -145,7 +149,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 65] = [
+    pub const ALL: [P; 67] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -179,6 +183,8 @@ impl P {
         P::Sag,
         P::SagTime,
         P::Wear,
+        P::WearRunIn,
+        P::WearFriction,
         P::WearRevolutions,
         P::Backlash,
         P::Miscount,

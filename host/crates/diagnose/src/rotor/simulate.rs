@@ -31,6 +31,8 @@ pub struct RunInput<'a> {
 /// Longest steps in s: of anything, and of what hangs on the angle.
 const LONGEST_S: f64 = 0.02;
 const LONGEST_OVER_ANGLE_S: f64 = 4e-3;
+/// The sizes of `run-in-wear`.
+const WEAR: [P; 3] = [P::Wear, P::WearRunIn, P::WearFriction];
 /// Step in s while friction changes with a speed that is not far above the Stribeck speed.
 const STRIBECK_S: f64 = 2.5e-4;
 /// Time in s in which the contact takes up the last of a speed difference, at least: a narrower band would be crossed back and forth within
@@ -167,7 +169,7 @@ impl<'a> Simulation<'a> {
         !self.has_angle
             && self.formulas.iter().all(|f| f.0.is_steady())
             && self.p.get(P::HeatLoss) == 0.0
-            && self.p.get(P::Wear) == 0.0
+            && WEAR.iter().all(|p| self.p.get(*p) == 0.0)
             && self.input.schedule.directions.len() <= 1
             && (settle == 0.0 || since > SETTLED * self.p.get(P::SettleTau))
     }
@@ -326,12 +328,13 @@ impl<'a> Simulation<'a> {
             }
             let (modulation, mut external) = self.over_angle();
             external -= p.get(P::Viscous) * self.speed + self.stribeck(by == By::Wave, sign);
-            let friction = 1.0 + sign * p.get(P::AsymFriction);
+            let [worn_speed, worn_friction] = self.worn();
+            let friction = (1.0 + worn_friction).max(0.01) * (1.0 + sign * p.get(P::AsymFriction));
             let step_s = end - self.t;
             match by {
                 By::Wave => {
                     let kept = (1.0 + self.by_formulas(ActsOn::Speed, sign)).max(0.0);
-                    let full = sign * self.wave.full * self.gain(sign, modulation, end) * kept;
+                    let full = sign * self.wave.full * self.gain(sign, worn_speed, modulation, end) * kept;
                     let torque = friction
                         * (1.0 + p.get(P::RunoutTorque) * modulation)
                         * (1.0 + self.by_formulas(ActsOn::Torque, sign));
@@ -458,16 +461,24 @@ impl<'a> Simulation<'a> {
         sense * extra * (-x * x).exp()
     }
 
-    /// Factor on the wave's speed until `end`.
-    fn gain(&self, sign: f64, modulation: f64, end: f64) -> f64 {
-        let p = self.p;
-        let mut gain =
-            1.0 - p.get(P::HeatLoss) * self.warmth + sign * p.get(P::AsymSpeed) + p.get(P::RunoutSpeed) * modulation;
-        let wear = p.get(P::Wear);
-        if wear != 0.0 {
-            let revolutions = self.input.revolutions + self.angle.abs() / std::f64::consts::TAU;
-            gain += wear * (1.0 + revolutions / p.get(P::WearRevolutions).max(1e-6)).ln();
+    /// Relative changes of the wave's speed and of the friction since the contact was new.
+    fn worn(&self) -> [f64; 2] {
+        let [for_ever, run_in, friction] = WEAR.map(|p| self.p.get(p));
+        if [for_ever, run_in, friction] == [0.0; 3] {
+            return [0.0; 2];
         }
+        let revolutions = self.input.revolutions + self.angle.abs() / std::f64::consts::TAU;
+        let x = revolutions / self.p.get(P::WearRevolutions).max(1e-6);
+        let done = -(-x).exp_m1();
+        [for_ever * x.ln_1p() + run_in * done, friction * done]
+    }
+
+    /// Factor on the wave's speed until `end`.
+    fn gain(&self, sign: f64, worn: f64, modulation: f64, end: f64) -> f64 {
+        let p = self.p;
+        let mut gain = 1.0 + worn - p.get(P::HeatLoss) * self.warmth
+            + sign * p.get(P::AsymSpeed)
+            + p.get(P::RunoutSpeed) * modulation;
         if p.get(P::Sag) != 0.0 {
             let middle = (-0.5 * (end - self.t) / p.get(P::SagTime).max(1e-4)).exp();
             gain -= p.get(P::Sag) * (1.0 - (1.0 - self.sagged) * middle);
