@@ -352,6 +352,12 @@ fn diagnose_reads_recordings_and_keeps_the_answer() {
     assert!(code == Some(0) && answer == first && message.contains("wrote mine.toml"), "{message}");
     let saved = std::fs::read_to_string(dir.path().join("mine.toml")).unwrap();
     assert!(saved.contains("[parameters"), "{saved}");
+    // Fails if the file does not say how well it repeats the run, or says it of something else than `compare` simulates.
+    let compared = twum(dir.path(), &["compare", "run.mcap", "--motor", "mine.toml", "--json"]).stdout;
+    let compared: Value = serde_json::from_slice(&compared).unwrap();
+    let mean = |of: &str| compared["simulation"]["runs"][0][of]["mean_rpm"].as_f64().unwrap();
+    let off = format!("{:.2} rpm off", (mean("simulated") - mean("measured")).abs());
+    assert!(saved.lines().next().is_some_and(|line| line.contains(&off)) && message.contains(&off), "{off}: {message}");
     record("0.6");
     let (_, other, message) = diagnose(&["run.mcap"]);
     assert!(other != first && !message.contains("answered before"), "{message}");

@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
+use twum_host::compare::simulation::mean_speeds_off;
 use twum_host::diagnose::cache::{self, Kept};
 use twum_host::diagnose::inertial::Model;
 use twum_host::diagnose::{Details, Options, answer, diagnose, known_effects, saved};
@@ -180,7 +181,14 @@ pub fn run(args: Args) -> Result<ExitCode> {
     if let Some(path) = &args.save_model {
         let text = match (&motor_file, &details) {
             (Some(motor_file), Some(Details::Runs { problem, outcome })) => {
-                saved::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?
+                let text = saved::file(motor_file, flavour, &outcome.extended, problem, &diagnosis)?;
+                match repeats(&measurements, &text, flavour) {
+                    Some(how_well) => {
+                        eprintln!("{how_well}");
+                        format!("# {how_well}\n{text}")
+                    }
+                    None => text,
+                }
             }
             (_, Some(Details::Inertial(outcome))) => Model::of(&measurements[0].name, outcome)
                 .context("--save-model: the runs are not of one motor; diagnose those that are")?
@@ -191,4 +199,13 @@ pub fn run(args: Args) -> Result<ExitCode> {
         eprintln!("wrote {}", path.display());
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// How well a saved model repeats the runs that it was fitted to: the motor model lacks what only the search's rotor has.
+fn repeats(measurements: &[Measurement], saved: &str, flavour: Flavour) -> Option<String> {
+    let motor = Motor::parse("saved.toml", saved).ok()?;
+    let [off, speed] = mean_speeds_off(measurements, &motor, flavour)?;
+    Some(format!(
+        "the saved model's mean speeds are {off:.2} rpm off those measured, of {speed:.1} rpm (root mean squares); what the motor model has no number for, as the height from which the wave carries, is not in it"
+    ))
 }

@@ -135,6 +135,18 @@ pub fn compare(measurement: &Measurement, motor: &Motor, flavour: Flavour) -> Re
     })
 }
 
+/// How far the mean speeds of a motor are off those of all open-loop runs, and these speeds: root mean squares in rpm. `None` where nothing can
+/// be simulated.
+pub fn mean_speeds_off(measurements: &[Measurement], motor: &Motor, flavour: Flavour) -> Option<[f64; 2]> {
+    let compared = measurements.iter().filter_map(|m| compare(m, motor, flavour).ok()).flat_map(|c| c.runs);
+    let pairs: Vec<[f64; 2]> = compared
+        .map(|run| [run.simulated.mean_rpm - run.measured.mean_rpm, run.measured.mean_rpm])
+        .filter(|pair| pair.iter().all(|rpm| rpm.is_finite()))
+        .collect();
+    let rms = |k: usize| (pairs.iter().map(|pair| pair[k].powi(2)).sum::<f64>() / pairs.len() as f64).sqrt();
+    (!pairs.is_empty()).then(|| [rms(0), rms(1)])
+}
+
 fn compare_run(run: &Run, duty: f64, edges_per_rev: u32, model: &Model) -> Result<RunComparison, SignalError> {
     let options = Options { method: Method::Smoother, edges_per_rev, period_us: None, edge_uncertainty_us: 2.0 };
     let measured = motion(run, &options)?;
