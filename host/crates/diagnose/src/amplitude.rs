@@ -20,6 +20,10 @@ const PHASES: usize = 100;
 /// Log of how much likelier `runs` are if each group of a cosine and a sine in `q` has one amplitude in all of them, than they were weighed
 /// with amplitudes of their own: sums of posterior over prior on rings of one radius.
 pub fn of_one_amplitude(runs: &[Normal], q: &Question, weighed: &Weighed) -> f64 {
+    if weighed.powers.is_empty() {
+        // Nothing goes with the angle, or the set could not be weighed.
+        return 0.0;
+    }
     let mut groups: Vec<Vec<f64>> = vec![vec![0.0; STEPS.count()]; weighed.powers.len()];
     for run in runs {
         let Some(posterior) = Posterior::of(run, q, weighed) else { continue };
@@ -87,8 +91,8 @@ impl Posterior {
 mod tests {
     use super::*;
 
-    /// Runs of 100 equal rows that turn once, with a cosine and a sine of these amplitudes, of a power of a half.
-    fn likelier(amplitudes: &[f64]) -> f64 {
+    /// Runs of 100 equal rows that turn once, with a cosine and a sine of these amplitudes, weighed with these powers.
+    fn likelier(amplitudes: &[f64], powers: Vec<f64>) -> f64 {
         let run = |(k, amplitude): (usize, &f64)| {
             let phase = 2.4 * k as f64;
             let rows = (0..100).map(|i| (f64::from(i) * TAU / 100.0).sin_cos());
@@ -106,7 +110,7 @@ mod tests {
             belief: [0.0; 5],
             gains: vec![0.0; runs.len()],
             common: Vec::new(),
-            powers: vec![0.5],
+            powers,
         };
         of_one_amplitude(&runs, &q, &weighed)
     }
@@ -117,14 +121,21 @@ mod tests {
     fn a_rhythm_is_in_all_runs() {
         let mut some = [0.0; 20];
         some[..5].fill(2.0);
-        assert!(likelier(&[1.0; 20]) > 10.0, "{}", likelier(&[1.0; 20]));
-        assert!(likelier(&some) < -20.0, "{}", likelier(&some));
+        let [all, some] = [[1.0; 20], some].map(|amplitudes| likelier(&amplitudes, vec![0.5]));
+        assert!(all > 10.0 && some < -20.0, "{all}, {some}");
     }
 
     /// Fails if a form that is a little off in some runs counts as another cause.
     #[test]
     fn amplitudes_may_differ_a_little() {
         let some: Vec<f64> = (0..20).map(|k| if k % 2 == 0 { 0.8 } else { 1.2 }).collect();
-        assert!(likelier(&some) > 0.0, "{}", likelier(&some));
+        let some = likelier(&some, vec![0.5]);
+        assert!(some > 0.0, "{some}");
+    }
+
+    /// Fails if a set that could not be weighed is a panic.
+    #[test]
+    fn what_was_not_weighed_is_as_likely() {
+        assert_eq!(likelier(&[1.0; 3], Vec::new()), 0.0);
     }
 }
