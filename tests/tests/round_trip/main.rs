@@ -361,7 +361,7 @@ fn what_was_fitted_is_what_is_saved() {
     let inertia = parameters.rotor_inertia_kg_m2;
     /// Name, what was fitted, what is saved.
     type Row<'a> = (&'a str, &'a [(P, f64)], &'a [(&'a str, f64)]);
-    let fitted: [Row; 14] = [
+    let fitted: [Row; 15] = [
         ("dead-zone", &[(P::DeadDuty, 0.04)], &[("threshold_duty", 0.04), ("gate_duty", 0.0)]),
         ("dead-zone", &[(P::GateDuty, 0.2), (P::GateWidth, 0.03)], &[("gate_duty", 0.2), ("gate_width", 0.03)]),
         ("high-duty-saturation", &[(P::Bend, 0.7)], &[("bend", 0.7), ("inverse_us", 0.0)]),
@@ -374,6 +374,11 @@ fn what_was_fitted_is_what_is_saved() {
         ("reversal-miscount", &[(P::Miscount, 1.0), (P::MiscountDrift, -2.0)], &[("counts", 1.0), ("drift", -2.0)]),
         ("unequal-edges", &[(P::EdgeOffset, 0.1)], &[("offset", -0.1)]),
         ("supply-sag", &[(P::Sag, 0.1), (P::SagTime, 0.03)], &[("tau_s", 0.03)]),
+        (
+            "run-in-wear",
+            &[(P::WearFriction, -0.3), (P::WearRevolutions, 4.0)],
+            &[("friction_run_in", -0.3), ("revolutions", 4.0), ("gain", 0.0), ("gain_run_in", 0.0)],
+        ),
         (
             "resonance-heating",
             &[(P::HeatLoss, 0.1), (P::HeatTau, 4.0), (P::HeatCarry, 0.3)],

@@ -319,6 +319,24 @@ fn blending_is_as_good_as_integrating() {
     }
 }
 
+/// Fails if the friction that has run in is another one than that under drive and without it, or if the drive's strength runs in by its size.
+#[test]
+fn what_has_run_in_is_a_motor_of_that_friction_and_strength() {
+    let p = parameters(Flavour::Physical);
+    let model = PlantModel::Motor { parameters: p, flavour: Flavour::Physical, solver: Solver::Averaged };
+    let program = Program::constant(0.4, Direction::Cw, 0.5, 0.6);
+    let end_rad = |effect: Option<(&str, &[f64])>| {
+        let mut effects = EffectSet::default();
+        effect.map(|(name, values)| effects.set(name, values)).transpose().unwrap();
+        simulate(&program, &model, &effects, History { revolutions: 1e4, ..History::default() }).end_rad
+    };
+    let run_in = end_rad(Some(("run-in-wear", &[0.0, 10.0, -0.1, -0.4])));
+    let other_motor = end_rad(Some(("direction-asymmetry", &[-0.1, -0.4])));
+    assert!((run_in / other_motor - 1.0).abs() < 1e-9, "{run_in} and {other_motor} rad");
+    assert!((run_in / end_rad(Some(("run-in-wear", &[0.0, 10.0, -0.1]))) - 1.0).abs() > 1e-4);
+    assert!((run_in / end_rad(None) - 1.0).abs() > 1e-2);
+}
+
 #[test]
 fn a_resting_contact_springs_under_a_load() {
     let p = parameters(Flavour::Physical).assign(&["Tload=5e-3"]).unwrap();
