@@ -43,6 +43,12 @@ const SETTLED: f64 = 9.0;
 /// Change over a period of the speed, relative to the free speed, of the sag and of the wave's height below which periods repeat each other.
 const REPEATS: f64 = 1e-7;
 
+/// Wear is held, so that periods repeat each other, while the way grows by this share of itself and these revolutions: by then neither
+/// ln(1 + x) nor 1 − e⁻ˣ has changed by more than half a hundredth, for what runs in within half a revolution and slower. It does not hang on
+/// the fitted revolutions: over them, what is held would be no smooth function.
+const WORN_SHARE: f64 = 0.005;
+const WORN_REVOLUTIONS: f64 = 0.002;
+
 /// What moves the rotor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum By {
@@ -109,6 +115,9 @@ struct Simulation<'a> {
     direction: usize,
     /// Share of the speed that the bend of a high duty leaves.
     kept: f64,
+    /// Relative changes of the wave's speed and of the friction since the contact was new, and the revolutions up to which they are held.
+    worn: [f64; 2],
+    worn_until: f64,
     /// The pieces of the period that is recorded, if one is.
     record: Option<Vec<Repeated>>,
 }
@@ -154,6 +163,8 @@ impl<'a> Simulation<'a> {
             measured: 0,
             direction: 0,
             kept: 1.0,
+            worn: [0.0; 2],
+            worn_until: 0.0,
             record: None,
         }
     }
@@ -169,7 +180,6 @@ impl<'a> Simulation<'a> {
         !self.has_angle
             && self.formulas.iter().all(|f| f.0.is_steady())
             && self.p.get(P::HeatLoss) == 0.0
-            && WEAR.iter().all(|p| self.p.get(*p) == 0.0)
             && self.input.schedule.directions.len() <= 1
             && (settle == 0.0 || since > SETTLED * self.p.get(P::SettleTau))
     }
@@ -188,7 +198,8 @@ impl<'a> Simulation<'a> {
             };
             let now = [self.speed / self.wave.full, self.sagged, self.wave.height_at(self.t)];
             let still = now.iter().zip(before).all(|(now, before)| (now - before).abs() <= REPEATS);
-            let repeats = whole && same && self.can_repeat();
+            let worn = self.wears();
+            let repeats = whole && same && !worn && self.can_repeat();
             before = now;
             if repeats && let Some(pieces) = self.record.take_if(|r| !r.is_empty()) {
                 self.repeat(period.start, period.end, &pieces);
@@ -328,7 +339,7 @@ impl<'a> Simulation<'a> {
             }
             let (modulation, mut external) = self.over_angle();
             external -= p.get(P::Viscous) * self.speed + self.stribeck(by == By::Wave, sign);
-            let [worn_speed, worn_friction] = self.worn();
+            let [worn_speed, worn_friction] = self.worn;
             let friction = (1.0 + worn_friction).max(0.01) * (1.0 + sign * p.get(P::AsymFriction));
             let step_s = end - self.t;
             match by {
@@ -461,16 +472,21 @@ impl<'a> Simulation<'a> {
         sense * extra * (-x * x).exp()
     }
 
-    /// Relative changes of the wave's speed and of the friction since the contact was new.
-    fn worn(&self) -> [f64; 2] {
+    /// Looks again how far the contact has worn, if it has turned by enough; whether it did.
+    fn wears(&mut self) -> bool {
         let [for_ever, run_in, friction] = WEAR.map(|p| self.p.get(p));
         if [for_ever, run_in, friction] == [0.0; 3] {
-            return [0.0; 2];
+            return false;
         }
         let revolutions = self.input.revolutions + self.angle.abs() / std::f64::consts::TAU;
+        if revolutions < self.worn_until {
+            return false;
+        }
+        self.worn_until = WORN_REVOLUTIONS + revolutions * (1.0 + WORN_SHARE);
         let x = revolutions / self.p.get(P::WearRevolutions).max(1e-6);
         let done = -(-x).exp_m1();
-        [for_ever * x.ln_1p() + run_in * done, friction * done]
+        self.worn = [for_ever * x.ln_1p() + run_in * done, friction * done];
+        true
     }
 
     /// Factor on the wave's speed until `end`.
