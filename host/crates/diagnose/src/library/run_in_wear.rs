@@ -7,12 +7,10 @@ use crate::rotor::P;
 const REVOLUTIONS: LogNormal = LogNormal { median: 5.0, log_sd: 1.5 };
 
 pub(super) fn effect() -> Effect {
-    let for_ever = [0.3, 3.0, 30.0, 300.0].map(|r0| (one(P::Wear, 0.05, 0.002, (-0.5, 0.5)), r0));
-    let speed = one(P::WearRunIn, 0.1, 0.005, (-0.5, 1.0));
-    let friction = one(P::WearFriction, 0.3, 0.03, (-0.9, 3.0));
-    let mut both = speed.clone();
-    both.sizes.extend(friction.sizes.clone());
-    let run_in = [speed, friction, both].into_iter().flat_map(|form| [2.0, 20.0].map(|r0| (form.clone(), r0)));
+    let for_ever = [0.5, 10.0, 200.0].map(|r0| (one(P::Wear, 0.05, 0.002, (-0.5, 0.5)), r0));
+    // A friction at which nothing turns was not measured; one of a tenth is a contact of another kind.
+    let mut run_in = one(P::WearRunIn, 0.1, 0.005, (-0.5, 1.0));
+    run_in.sizes.extend(one(P::WearFriction, 0.3, 0.03, (-0.9, 3.0)).sizes);
     Effect {
         name: "run-in-wear".into(),
         says: "the motor changes for good from run to run, with the distance it has turned".into(),
@@ -21,7 +19,7 @@ pub(super) fn effect() -> Effect {
         needs: &[Need::Order],
         forms: for_ever
             .into_iter()
-            .chain(run_in)
+            .chain([2.0, 15.0].map(|r0| (run_in.clone(), r0)))
             .map(|(form, r0)| form.shaped(P::WearRevolutions, r0, REVOLUTIONS, (0.03, 1000.0)))
             .collect(),
         reported: vec![
