@@ -4,10 +4,16 @@ use super::observe::Window;
 use super::problem::{Model, Problem, RPM, RunResidual};
 use super::rotor::{P, Parameters, RunTerms, Trajectory, effective_duty, placed};
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::f64::consts::{FRAC_PI_2, TAU};
+use twum_record::measurement::RunKind;
 
 /// A change of the delay over time that is small against the windows (s), and the unit of its column (s).
 const LATER_S: [f64; 2] = [5e-4, 1e-2];
+
+/// Largest rhythm of the angle, as a share of speed or torque, beside which a derivative by a common parameter is that without it: it is wrong by
+/// as much of itself, and what it tells of the data by the square of that, a hundredth.
+const SMALL_RHYTHM: f64 = 0.1;
 
 /// A direction in parameter space along which residuals are differentiated.
 #[derive(Debug, Clone, PartialEq)]
@@ -98,6 +104,12 @@ struct Linearised<'a> {
     reversed: Vec<bool>,
 }
 
+/// A run as it is where its derivatives by common parameters are taken.
+struct Surroundings<'a> {
+    terms: RunTerms,
+    now: Cow<'a, RunResidual>,
+}
+
 /// A parameter moved by a step, with the warmth that the runs then start with.
 struct Moved {
     /// What it is moved from, where that is not the model itself.
@@ -138,12 +150,13 @@ impl<'a> Linearised<'a> {
 
     fn design(&self, i: usize) -> RunDesign {
         let run = &self.problem.runs[i];
-        let now = self.residual(i, &self.model.parameters, self.warmth[i]);
+        let now = self.residual(i, &self.model.parameters, &self.model.terms[i], self.warmth[i]);
+        let around = self.surroundings(i, &now);
         let weight: Vec<f64> = run.windows.iter().map(|w| run.duration(w).max(0.0).sqrt()).collect();
         let width = self.columns.len();
         let mut x = vec![0.0; weight.len() * width];
         for c in 0..width {
-            for (k, value) in self.column(i, c, &now).into_iter().enumerate() {
+            for (k, value) in self.column(i, c, &now, &around).into_iter().enumerate() {
                 x[k * width + c] = weight[k] * value;
             }
         }
@@ -151,12 +164,24 @@ impl<'a> Linearised<'a> {
         RunDesign { columns: width, x, y, weight, seconds: run.compared_s() }
     }
 
-    fn residual(&self, i: usize, p: &Parameters, warmth: f64) -> RunResidual {
-        self.problem.run_residual(i, p, &self.model.terms[i], warmth)
+    fn residual(&self, i: usize, p: &Parameters, terms: &RunTerms, warmth: f64) -> RunResidual {
+        self.problem.run_residual(i, p, terms, warmth)
+    }
+
+    /// Where common parameters are moved: beside a small rhythm of the angle, the same run without it, whose periods repeat each other.
+    fn surroundings<'b>(&self, i: usize, now: &'b RunResidual) -> Surroundings<'b> {
+        let terms = &self.model.terms[i];
+        let rhythm = terms.runout.iter().chain(&terms.gravity).map(|c| c * c).sum::<f64>().sqrt();
+        if rhythm == 0.0 || rhythm > SMALL_RHYTHM || self.problem.runs[i].kind == RunKind::Track {
+            return Surroundings { terms: *terms, now: Cow::Borrowed(now) };
+        }
+        let terms = RunTerms { eccentricity: terms.eccentricity, ..RunTerms::default() };
+        let now = Cow::Owned(self.residual(i, &self.model.parameters, &terms, self.warmth[i]));
+        Surroundings { terms, now }
     }
 
     /// What a unit of column `c` adds to the predicted speed of each window of run `i`, rpm.
-    fn column(&self, i: usize, c: usize, now: &RunResidual) -> Vec<f64> {
+    fn column(&self, i: usize, c: usize, now: &RunResidual, around: &Surroundings) -> Vec<f64> {
         let run = &self.problem.runs[i];
         let p = &self.model.parameters;
         let change = |from: &RunResidual, to: &RunResidual, per: f64| -> Vec<f64> {
@@ -165,20 +190,22 @@ impl<'a> Linearised<'a> {
         match &self.columns[c] {
             Column::Scalar { .. } => {
                 let Moved { from, to, per_step } = self.moved[c].as_ref().expect("every scalar column is moved");
-                let to = match from {
-                    None => self.moved_residual(i, &to.0, to.1[i], now),
-                    Some(_) => self.residual(i, &to.0, to.1[i]),
-                };
+                let at = |(p, warmth): &(Parameters, Vec<f64>)| self.residual(i, p, &around.terms, warmth[i]);
                 match from {
-                    None => change(now, &to, *per_step),
-                    Some(from) => change(&self.residual(i, &from.0, from.1[i]), &to, *per_step),
+                    None => change(&around.now, &self.moved_residual(i, &to.0, to.1[i], around), *per_step),
+                    Some(from) => change(&at(from), &at(to), *per_step),
                 }
             }
             Column::Lag(j, n) => {
                 let [step_s, unit_s] = LATER_S;
-                let later = self.residual(i, &p.with(P::Latency, p.get(P::Latency) + step_s), self.warmth[i]);
+                let later = p.with(P::Latency, p.get(P::Latency) + step_s);
+                let later = self.moved_residual(i, &later, self.warmth[i], around);
                 let at = run.windows.iter().map(|w| hat(*j, *n, w.middle(&run.times) / self.longest_s));
-                change(now, &later, unit_s / step_s).into_iter().zip(at).map(|(change, at)| change * at).collect()
+                change(&around.now, &later, unit_s / step_s)
+                    .into_iter()
+                    .zip(at)
+                    .map(|(change, at)| change * at)
+                    .collect()
             }
             Column::Eccentricity(_) => {
                 let (terms, step) = self.phased_step(i, &self.columns[c]);
@@ -200,13 +227,13 @@ impl<'a> Linearised<'a> {
         }
     }
 
-    /// The same of parameters `p` that differ in one from the model, whose residuals are `now`: what moves the record and not the rotor needs
-    /// no simulation.
-    fn moved_residual(&self, i: usize, p: &Parameters, warmth: f64, now: &RunResidual) -> RunResidual {
+    /// The residuals of parameters `p` that differ in one from the model: what moves the record and not the rotor needs no simulation.
+    fn moved_residual(&self, i: usize, p: &Parameters, warmth: f64, around: &Surroundings) -> RunResidual {
+        let Surroundings { terms, now } = around;
         let here = &self.model.parameters;
         let moves = |which: P| p.get(which) != here.get(which);
         if [P::EdgeOffset, P::Backlash, P::Miscount, P::MiscountDrift].into_iter().any(moves) {
-            return self.problem.compared(i, now.trajectory.clone(), p, &self.model.terms[i]);
+            return self.problem.compared(i, now.trajectory.clone(), p, terms);
         }
         if [P::Latency, P::ClockError].into_iter().any(moves) {
             let clock = 1.0 + here.get(P::ClockError);
@@ -215,16 +242,16 @@ impl<'a> Linearised<'a> {
             let Trajectory { angle, speed } = &now.trajectory;
             let moved = self.problem.runs[i].times.iter().zip(angle).zip(speed).map(|((t, a), w)| a + w * later(t));
             let trajectory = Trajectory { angle: moved.collect(), speed: speed.clone() };
-            return self.problem.compared(i, trajectory, p, &self.model.terms[i]);
+            return self.problem.compared(i, trajectory, p, terms);
         }
         // A duty that is mapped to the same one as before is the same drive: most of a coarse grid's treads are.
         let mapped = |duty: f64| effective_duty(duty, p) == effective_duty(duty, here);
         let by_the_duty_alone = || P::ALL.into_iter().all(|which| !moves(which) || P::OF_THE_DUTY.contains(&which));
         let no_formula = || placed(&self.problem.formulas).all(|(h, places)| !h.is_there(&p.of_formula(places)));
         if self.problem.runs[i].duty.is_some_and(mapped) && by_the_duty_alone() && no_formula() {
-            return now.clone();
+            return now.as_ref().clone();
         }
-        self.residual(i, p, warmth)
+        self.residual(i, p, terms, warmth)
     }
 
     /// What belongs to a run with one phased coefficient larger by a step, and the step.
