@@ -26,6 +26,8 @@ const INDEPENDENT_A_RUN: f64 = 8.0;
 const MODEL_FLOOR: f64 = 0.005;
 /// Rounds of expectation–maximisation of noise and powers.
 const ROUNDS: usize = 6;
+/// Change of their logarithms by which they are found: of where it is greatest, the likelihood changes by the square of that.
+const SETTLED: f64 = 0.003;
 
 /// Normal equations of every run around one model.
 pub struct Equations {
@@ -235,11 +237,13 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
     let mut taus = start.taus;
     let mut found = None;
     let mut common_freedom = None;
+    let mut last = false;
     for round in 0..ROUNDS {
+        last |= round + 1 == ROUNDS;
         let reduced: Vec<Reduced> =
             equations.runs.iter().enumerate().map(|(i, r)| reduce(r, i, q, &powers, variance)).collect();
         let together = Together::new(reduced.iter().map(|r| &r.said), q.shared_count());
-        if start.spreads != Spreads::Stay && (round == 1 || round + 1 == ROUNDS) {
+        if start.spreads != Spreads::Stay && (round == 1 || last) {
             let likely =
                 |c: &DMatrix<f64>| join(&together, c).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det));
             let anywhere = start.spreads == Spreads::Anywhere && round == 1;
@@ -269,16 +273,20 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
             common: commons,
             powers: powers.clone(),
         });
-        for (k, p) in powers.iter_mut().enumerate() {
-            let sum: f64 = reduced.iter().map(|r| r.power[k]).sum();
-            *p = (sum / (sizes[k] * reduced.len() as f64)).max(1e-9);
+        if last {
+            break;
         }
         let error = (1.0 - FORM_ERROR) * left + FORM_ERROR * start.without.max(left) + equations.floor();
-        let next = error / (independent - freedom).max(0.25 * independent);
-        let next = next.max(1e-12);
-        if round + 1 < ROUNDS {
-            variance = next;
+        let next = (error / (independent - freedom).max(0.25 * independent)).max(1e-12);
+        let mut moved = (next / variance).ln().abs();
+        variance = next;
+        for (k, p) in powers.iter_mut().enumerate() {
+            let sum: f64 = reduced.iter().map(|r| r.power[k]).sum();
+            let next = (sum / (sizes[k] * reduced.len() as f64)).max(1e-9);
+            moved = moved.max((next / *p).ln().abs());
+            *p = next;
         }
+        last = moved < SETTLED && round > 0;
     }
     found
 }
