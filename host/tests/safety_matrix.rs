@@ -170,22 +170,27 @@ fn recording_of(folder: &Path, out: Option<&Path>) -> &'static str {
 
 /// What fits the "disk": the alignment and a part of the run.
 const DISK_KIB: u64 = 7;
-/// Full but for the frame that no longer fits.
-const ALMOST_FULL: u64 = DISK_KIB * 1024 - 250;
 
-fn wait_until_full(out: &Path, child: &mut Child) {
+/// Waits for the end of a program whose recording fills the disk; what was seen, and when, µs, as the disk took the last that fits. Of what it has
+/// no room for the program learns with the next frame.
+fn fill(out: &Path, rig: &Rig, child: &mut Child) -> (Seen, u64) {
     let until = Instant::now() + Duration::from_secs(15);
-    let length = |path: &Path| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
+    let length = |path: PathBuf| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
+    let mut taken = 0;
+    let mut at = (rig.seen(), rig.now_us());
     while Instant::now() < until && child.try_wait().unwrap().is_none() {
         let recording = match std::fs::read_dir(out.join("recordings")) {
             Ok(mut entries) => entries.next().and_then(Result::ok).map(|entry| entry.path()),
             Err(_) => Some(out.to_owned()),
         };
-        if recording.is_some_and(|path| length(&path) >= ALMOST_FULL) {
-            return;
+        let now = recording.map_or(0, length);
+        if now > taken {
+            taken = now;
+            at = (rig.seen(), rig.now_us());
         }
         std::thread::sleep(Duration::from_millis(1));
     }
+    at
 }
 
 /// One case, at `share` of the motion's length after its begin. A machine that is too busy to begin, to keep up a motion that nothing
@@ -230,12 +235,13 @@ fn attempt(mover: Mover, event: Event, share: f64) -> Option<Came> {
         );
         return None;
     }
-    match (event, &out) {
-        (Event::DiskFull, Some(out)) => wait_until_full(out, &mut program.child),
-        _ => std::thread::sleep(Duration::from_secs_f64(share * mover.lasts_ms as f64 * 1e-3)),
-    }
-    let before = rig.seen();
-    let at_us = happen(event, &rig, &mut program);
+    let (before, at_us) = match (event, &out) {
+        (Event::DiskFull, Some(out)) => fill(out, &rig, &mut program.child),
+        _ => {
+            std::thread::sleep(Duration::from_secs_f64(share * mover.lasts_ms as f64 * 1e-3));
+            (rig.seen(), happen(event, &rig, &mut program))
+        }
+    };
     let status = wait(event, &mut program);
     // What stands has to stay so.
     std::thread::sleep(Duration::from_millis(700));
