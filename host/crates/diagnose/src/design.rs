@@ -150,7 +150,7 @@ impl<'a> Linearised<'a> {
 
     fn design(&self, i: usize) -> RunDesign {
         let run = &self.problem.runs[i];
-        let now = self.residual(i, &self.model.parameters, &self.model.terms[i], self.warmth[i]);
+        let now = self.problem.run_residual(i, &self.model.parameters, &self.model.terms[i], self.warmth[i]);
         let around = self.surroundings(i, &now);
         let weight: Vec<f64> = run.windows.iter().map(|w| run.duration(w).max(0.0).sqrt()).collect();
         let width = self.columns.len();
@@ -164,10 +164,6 @@ impl<'a> Linearised<'a> {
         RunDesign { columns: width, x, y, weight, seconds: run.compared_s() }
     }
 
-    fn residual(&self, i: usize, p: &Parameters, terms: &RunTerms, warmth: f64) -> RunResidual {
-        self.problem.run_residual(i, p, terms, warmth)
-    }
-
     /// Where common parameters are moved: beside a small rhythm of the angle, the same run without it, whose periods repeat each other.
     fn surroundings<'b>(&self, i: usize, now: &'b RunResidual) -> Surroundings<'b> {
         let terms = &self.model.terms[i];
@@ -176,7 +172,7 @@ impl<'a> Linearised<'a> {
             return Surroundings { terms: *terms, now: Cow::Borrowed(now) };
         }
         let terms = RunTerms { eccentricity: terms.eccentricity, ..RunTerms::default() };
-        let now = Cow::Owned(self.residual(i, &self.model.parameters, &terms, self.warmth[i]));
+        let now = Cow::Owned(self.problem.run_residual(i, &self.model.parameters, &terms, self.warmth[i]));
         Surroundings { terms, now }
     }
 
@@ -190,7 +186,8 @@ impl<'a> Linearised<'a> {
         match &self.columns[c] {
             Column::Scalar { .. } => {
                 let Moved { from, to, per_step } = self.moved[c].as_ref().expect("every scalar column is moved");
-                let at = |(p, warmth): &(Parameters, Vec<f64>)| self.residual(i, p, &around.terms, warmth[i]);
+                let at =
+                    |(p, warmth): &(Parameters, Vec<f64>)| self.problem.run_residual(i, p, &around.terms, warmth[i]);
                 match from {
                     None => change(&around.now, &self.moved_residual(i, &to.0, to.1[i], around), *per_step),
                     Some(from) => change(&at(from), &at(to), *per_step),
@@ -251,7 +248,7 @@ impl<'a> Linearised<'a> {
         if self.problem.runs[i].duty.is_some_and(mapped) && by_the_duty_alone() && no_formula() {
             return now.as_ref().clone();
         }
-        self.residual(i, p, terms, warmth)
+        self.problem.run_residual(i, p, terms, warmth)
     }
 
     /// What belongs to a run with one phased coefficient larger by a step, and the step.

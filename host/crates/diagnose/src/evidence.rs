@@ -26,7 +26,7 @@ const INDEPENDENT_A_RUN: f64 = 8.0;
 const MODEL_FLOOR: f64 = 0.005;
 /// Rounds of expectation–maximisation of noise and powers.
 const ROUNDS: usize = 6;
-/// Change of their logarithms by which they are found: of where it is greatest, the likelihood changes by the square of that.
+/// They end when none of these moves by more than this share of itself: near its greatest value the likelihood moves by the square of that.
 const SETTLED: f64 = 0.003;
 
 /// Normal equations of every run around one model.

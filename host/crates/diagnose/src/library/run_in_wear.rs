@@ -7,6 +7,7 @@ use crate::rotor::P;
 const REVOLUTIONS: LogNormal = LogNormal { median: 5.0, log_sd: 1.5 };
 
 pub(super) fn effect() -> Effect {
+    // The revolutions that forms begin with lie a decade or so apart: a refit does not get much further.
     let for_ever = [0.5, 10.0, 200.0].map(|r0| (one(P::Wear, 0.05, 0.002, (-0.5, 0.5)), r0));
     // A friction at which nothing turns was not measured; one of a tenth is a contact of another kind.
     let mut run_in = one(P::WearRunIn, 0.1, 0.005, (-0.5, 1.0));

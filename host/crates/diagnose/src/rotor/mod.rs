@@ -58,6 +58,8 @@ pub fn effective_duty(duty: f64, p: &Parameters) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Arc;
+    use twum_motor::hypothesis::{ActsOn, Hypothesis, Number, Role};
 
     fn angles(p: &Parameters, on_s: f64, half_sample_s: f64, times: &[f64]) -> Vec<f64> {
         angles_towards(1.0, p, on_s, half_sample_s, times)
@@ -193,8 +195,44 @@ mod tests {
                     formulas: &[],
                 };
                 let angles = |p: &Parameters| simulate(&input, p, &RunTerms::default()).angle;
-                for (a, b) in angles(&p).iter().zip(&angles(&p.with(P::Wear, 1e-12))) {
+                for (a, b) in angles(&p).iter().zip(&angles(&p.with(P::HeatLoss, 1e-12))) {
                     assert!((a - b).abs() < 1e-4, "{a} {b}");
+                }
+            }
+        }
+    }
+
+    /// Fails if wear is looked at once a run, or if it is held for longer than makes half a hundredth: as a formula over the revolutions it is not
+    /// held at all.
+    #[test]
+    fn what_is_worn_follows_the_revolutions() {
+        let size = Number { name: "a".into(), unit: "1".into(), role: Role::Typical(0.1), min: -0.5, max: 0.5 };
+        let times: Vec<f64> = (1..800).map(|k| 5e-3 * f64::from(k)).collect();
+        let measured = vec![0.0; times.len()];
+        let rotor = Parameters::new(3.6, 1900.0, 1900.0, 0.3, 0.02).with(P::WaveTime, 2.5e-4);
+        for (wear, change) in [(P::Wear, "a*ln(1 + revolutions/0.5)"), (P::WearRunIn, "a*(1 - exp(-revolutions/0.5))")]
+        {
+            let formula = Hypothesis::new("mine", "", ActsOn::Speed, change, vec![size.clone()]).expect("a formula");
+            let formulas = [Arc::new(formula)];
+            for (duty, revolutions) in [(1.0, 0.0), (0.4, 0.0), (0.4, 40.0)] {
+                let schedule = Schedule::constant(duty, 1.0, 50.0, 0.0, 4.0);
+                let turned = |p: &Parameters| {
+                    let input = RunInput {
+                        schedule: &schedule,
+                        drive_end: 4.0,
+                        times: &times,
+                        half_sample_s: 0.0,
+                        angles: &measured,
+                        warmth: 0.0,
+                        revolutions,
+                        formulas: &formulas,
+                    };
+                    simulate(&input, p, &RunTerms::default()).angle
+                };
+                let [worn, by_formula] =
+                    [rotor.with(wear, 0.1).with(P::WearRevolutions, 0.5), rotor.with(P::FORMULA[0], 0.1)];
+                for (a, b) in turned(&worn).iter().zip(turned(&by_formula)) {
+                    assert!((a - b).abs() < 0.1 * 0.005 * b + 1e-3, "{change} at {duty} from {revolutions}: {a} {b}");
                 }
             }
         }
