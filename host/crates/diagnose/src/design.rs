@@ -12,7 +12,8 @@ use twum_record::measurement::RunKind;
 const LATER_S: [f64; 2] = [5e-4, 1e-2];
 
 /// Largest rhythm of the angle, as a share of speed or torque, beside which a derivative by a common parameter is that without it: it is wrong by
-/// as much of itself, and what it tells of the data by the square of that, a hundredth.
+/// as much of itself, by twice as much where the square of the speed counts (braking), and what it tells of the data by the square of that, some
+/// hundredths.
 const SMALL_RHYTHM: f64 = 0.1;
 
 /// A direction in parameter space along which residuals are differentiated.
@@ -318,4 +319,61 @@ fn hat(j: usize, n: usize, x: f64) -> f64 {
 fn cyclic_hat(j: usize, n: usize, periods: f64) -> f64 {
     let d = (periods.rem_euclid(1.0) * n as f64 - j as f64).rem_euclid(n as f64);
     (1.0 - d.min(n as f64 - d)).max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::observe::Observed;
+    use super::super::rotor::Schedule;
+    use super::*;
+
+    /// A run of two seconds at half duty whose angle is known every ten milliseconds.
+    fn run() -> Observed {
+        let times: Vec<f64> = (0..200).map(|k| 0.01 * f64::from(k)).collect();
+        Observed {
+            id: "r".into(),
+            kind: RunKind::Speed,
+            duty: Some(0.5),
+            direction: 1.0,
+            direction_known: true,
+            pwm_hz: 50.0,
+            order: Some(0),
+            schedule: Schedule::constant(0.5, 1.0, 50.0, 0.0, 2.0),
+            drive_end: 2.0,
+            angles: times.iter().map(|t| 1.8 * t).collect(),
+            level: vec![0; times.len()],
+            windows: (1..times.len()).map(|to| Window { from: to - 1, to, low: 0.018, high: 0.018 }).collect(),
+            pitch: 0.018,
+            reversals: Vec::new(),
+            time_spread: 0.0,
+            record_end: 2.0,
+            times,
+        }
+    }
+
+    /// Fails if a derivative beside a small rhythm is that of another drive, or one beside a large rhythm is taken without it.
+    #[test]
+    fn derivatives_beside_a_rhythm_are_those_of_the_run() {
+        let problem = Problem::new(vec![run()]);
+        for (rhythm, allowed) in [(0.08, 2.0 * 0.08), (0.4, 0.05)] {
+            let rotor = Parameters::new(3.6, 900.0, 600.0, 0.3, 0.02).with(P::WaveTime, 4e-4);
+            let mut model = problem.model(rotor);
+            model.terms[0].runout[0] = rhythm;
+            for (parameter, step) in [(P::FreeSpeed, 0.01), (P::OffDeceleration, 2.0), (P::DeadDuty, 1e-3)] {
+                let column = Column::Scalar { parameter, scale: 1.0, step, shape: Vec::new() };
+                let found = problem.design(&model, &[column]).remove(0);
+                let moved = |by: f64| {
+                    let parameters = model.parameters.with(parameter, model.parameters.get(parameter) + by);
+                    problem.residuals(&Model { parameters, terms: model.terms.clone() }).remove(0).predicted
+                };
+                let (more, less) = (moved(step), moved(-step));
+                let own: Vec<f64> = more.iter().zip(less).map(|(a, b)| (a - b) / (2.0 * step)).collect();
+                let square = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>();
+                let off =
+                    square(&mut own.iter().zip(&found.x).zip(&found.weight).map(|((own, x), weight)| own - x / weight));
+                let share = (off / square(&mut own.iter().copied())).sqrt();
+                assert!(share < allowed, "{parameter:?} beside {rhythm}: {share} of itself");
+            }
+        }
+    }
 }
