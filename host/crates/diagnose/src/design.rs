@@ -331,23 +331,14 @@ mod tests {
     fn run() -> Observed {
         let times: Vec<f64> = (0..200).map(|k| 0.01 * f64::from(k)).collect();
         Observed {
-            id: "r".into(),
-            kind: RunKind::Speed,
-            duty: Some(0.5),
-            direction: 1.0,
-            direction_known: true,
-            pwm_hz: 50.0,
-            order: Some(0),
             schedule: Schedule::constant(0.5, 1.0, 50.0, 0.0, 2.0),
             drive_end: 2.0,
             angles: times.iter().map(|t| 1.8 * t).collect(),
             level: vec![0; times.len()],
             windows: (1..times.len()).map(|to| Window { from: to - 1, to, low: 0.018, high: 0.018 }).collect(),
-            pitch: 0.018,
-            reversals: Vec::new(),
-            time_spread: 0.0,
             record_end: 2.0,
             times,
+            ..Observed::unrecorded()
         }
     }
 

@@ -176,7 +176,6 @@ mod tests {
     use crate::observe::Observed;
     use nalgebra::DVector;
     use rand::{RngExt, SeedableRng};
-    use twum_record::measurement::RunKind;
 
     /// So many runs at one duty and in one direction, one after the other.
     fn runs(count: u32) -> Level {
@@ -186,23 +185,10 @@ mod tests {
     /// Runs of these duties and directions, one after the other.
     fn made(ways: &[(f64, f64)]) -> Level {
         let run = |(order, (duty, direction)): (u32, &(f64, f64))| Observed {
-            id: "r".into(),
-            kind: RunKind::Speed,
             duty: Some(*duty),
             direction: *direction,
-            direction_known: true,
-            pwm_hz: 50.0,
             order: Some(order),
-            schedule: Default::default(),
-            drive_end: 1.0,
-            times: Vec::new(),
-            angles: Vec::new(),
-            level: Vec::new(),
-            windows: Vec::new(),
-            pitch: 0.01,
-            reversals: Vec::new(),
-            time_spread: 0.0,
-            record_end: 1.0,
+            ..Observed::unrecorded()
         };
         Level::new(&Problem::new((0..).zip(ways).map(run).collect()))
     }

@@ -391,6 +391,32 @@ pub fn thin(runs: &mut Vec<Observed>, each: usize, seconds: f64) {
 }
 
 #[cfg(test)]
+impl Observed {
+    /// A run of a test, clockwise at 50 Hz and half duty, of which nothing was recorded.
+    pub(super) fn unrecorded() -> Self {
+        Self {
+            id: "r".into(),
+            kind: RunKind::Speed,
+            duty: Some(0.5),
+            direction: 1.0,
+            direction_known: true,
+            pwm_hz: 50.0,
+            order: Some(0),
+            schedule: Schedule::default(),
+            drive_end: 1.0,
+            times: Vec::new(),
+            angles: Vec::new(),
+            level: Vec::new(),
+            windows: Vec::new(),
+            pitch: TAU / 400.0,
+            reversals: Vec::new(),
+            time_spread: 0.0,
+            record_end: 1.0,
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 

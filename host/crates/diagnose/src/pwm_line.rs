@@ -65,30 +65,16 @@ fn scan(run: &Observed, points: usize, step: f64) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::rotor::Schedule;
     use super::*;
-    use twum_record::measurement::RunKind;
 
     /// A rotor of 5 rad/s whose speed swings by half at 50 Hz, recorded for 4 s by a clock that is fast by `error`.
     fn recorded(error: f64) -> Problem {
         let mut run = Observed {
-            id: "r".into(),
-            kind: RunKind::Speed,
-            duty: Some(0.5),
-            direction: 1.0,
-            direction_known: true,
-            pwm_hz: 50.0,
-            order: None,
-            schedule: Schedule::default(),
             drive_end: 4.0,
-            times: Vec::new(),
-            angles: Vec::new(),
-            level: Vec::new(),
-            windows: Vec::new(),
             pitch: TAU / 1000.0,
-            reversals: Vec::new(),
             time_spread: 2e-6,
             record_end: 4.0,
+            ..Observed::unrecorded()
         };
         let (mut angle, mut edges) = (0.0, Vec::new());
         let dt = 1e-5;
