@@ -163,6 +163,16 @@ fn thorough_a_wheel_is_not_taken_for_lost_words() {
     assert!(!d.suspected().contains(&"dropped-samples"), "{:?}", d.suspected());
 }
 
+/// A preload that changes by 9 % round the rotor, and with it both frictions and the wave. Fails if no form of a runout acts on all three: an
+/// eccentric wheel was NAMED.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_runout_of_all_that_the_preload_does_is_not_named_a_wheel() {
+    let d = of_a_case("e", Kind::Single, 409);
+    assert!(d.suspected().contains(&"preload-runout"), "{:?}", d.suspected());
+    assert!(d.named().is_empty(), "{:?}", d.named());
+}
+
 /// A wheel 0.012 rad off, whose course within the runs a course over the time takes as well, and a little more. Fails if that one hides it.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
