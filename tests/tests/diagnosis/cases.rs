@@ -1,19 +1,16 @@
 //! Data sets of the generators on which the diagnosis once fell short.
 
 use twum_host::diagnose::answer::{Diagnosis, Verdict};
-use twum_host::diagnose::{Options, diagnose};
-use twum_host::record::measurement::Measurement;
 use twum_tests::suite::Case;
 use twum_tests::truth::Kind;
 
-/// The answer on one of the generators' data sets, through a folder.
+/// The answer of the command on one of the generators' data sets.
 fn of_a_case(generator: &str, kind: Kind, seed: u64) -> Diagnosis {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let at = folder.path().join("data");
     let case = Case { generator: generator.to_owned(), kind, seed };
     case.make().expect("it can be made").write(&at).expect("the folder can be written");
-    let measurement = Measurement::load(&at).expect("the folder can be read");
-    diagnose(&[measurement], &Options::default(), &|_, _| {}).expect("it can be diagnosed").0
+    super::answer(&at)
 }
 
 /// A clock of three thousandths in runs of 3.35 s: half a PWM period of drift. Fails if it is looked for from no error alone.

@@ -6,7 +6,7 @@ mod loops;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use twum_host::diagnose::answer::{Diagnosis, ParameterAnswer, Verdict};
 use twum_host::diagnose::{Options, diagnose};
 use twum_host::model::effects::EffectSet;
@@ -283,7 +283,7 @@ fn measured(name: &str) -> PathBuf {
 }
 
 /// The answer of the command: from the motor file that the folder names.
-fn answer(folder: &PathBuf) -> Diagnosis {
+fn answer(folder: &Path) -> Diagnosis {
     let measurement = Measurement::load(folder).expect("the folder can be read");
     let motor = Motor::shipped(&measurement.motor).ok().map(|m| m.parameters(Flavour::Physical));
     diagnose(&[measurement], &Options { motor, ..Options::default() }, &|_, _| {}).expect("it can be diagnosed").0

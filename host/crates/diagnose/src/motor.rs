@@ -55,7 +55,8 @@ fn pulsed_speed_of(rotor: &Rotor) -> f64 {
         .with(P::WaveTime, rotor.get(P::WaveTime))
         .with(P::Dying, rotor.get(P::Dying))
         .with(P::Lift, rotor.get(P::Lift))
-        .with(P::Ahead, rotor.get(P::Ahead));
+        .with(P::Ahead, rotor.get(P::Ahead))
+        .with(P::Detuning, rotor.get(P::Detuning));
     let schedule = Schedule::constant(PULSED_DUTY, 1.0, PULSED_HZ, 0.0, 2.0 * PULSED_S);
     let input = RunInput {
         schedule: &schedule,

@@ -25,6 +25,8 @@ pub enum P {
     Lift,
     /// Share of the drive's torque with which the wave holds back a rotor that is faster than its crest.
     Ahead,
+    /// Distance of the drive from the stator's resonance, in half-widths of it.
+    Detuning,
     /// Viscous damping over inertia in 1/s.
     Viscous,
     /// Common delay of the record behind the drive in s (a nuisance, not physics).
@@ -149,7 +151,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 67] = [
+    pub const ALL: [P; 68] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -157,6 +159,7 @@ impl P {
         P::Dying,
         P::Lift,
         P::Ahead,
+        P::Detuning,
         P::Viscous,
         P::Latency,
         P::SlipBand,

@@ -135,9 +135,9 @@ impl<'a> Simulation<'a> {
         } else {
             input.times.iter().map(|t| driven(*t)).collect()
         };
-        let [tau, dying, lift, full, rate] =
-            [P::WaveTime, P::Dying, P::Lift, P::FreeSpeed, P::OnAcceleration].map(|k| p.get(k).max(0.0));
-        let wave = Wave::new([tau, tau * dying], lift, full, rate.max(1.0));
+        let [tau, dying, detuning, lift, full, rate] =
+            [P::WaveTime, P::Dying, P::Detuning, P::Lift, P::FreeSpeed, P::OnAcceleration].map(|k| p.get(k).max(0.0));
+        let wave = Wave::new([tau, tau * dying], detuning, lift, full, rate.max(1.0));
         Self {
             input,
             p,
@@ -186,7 +186,7 @@ impl<'a> Simulation<'a> {
 
     fn periods(&mut self) {
         let periods = &self.input.schedule.periods;
-        let mut before = [f64::NAN; 3];
+        let mut before = [f64::NAN; 4];
         for (k, period) in periods.iter().enumerate() {
             if period.start >= self.input.drive_end || self.done() {
                 return;
@@ -196,7 +196,8 @@ impl<'a> Simulation<'a> {
                 let last = &periods[k - 1];
                 last.duty == period.duty && (last.end - last.start - (period.end - period.start)).abs() < 1e-12
             };
-            let now = [self.speed / self.wave.full, self.sagged, self.wave.height_at(self.t)];
+            let wave = self.wave.amplitude_at(self.t);
+            let now = [self.speed / self.wave.full, self.sagged, wave.re, wave.im];
             let still = now.iter().zip(before).all(|(now, before)| (now - before).abs() <= REPEATS);
             let worn = self.wears();
             let repeats = whole && same && !worn && self.can_repeat();
