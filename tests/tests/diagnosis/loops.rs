@@ -7,7 +7,7 @@ use twum_tests::tracking::{self, HiddenInLoop};
 fn closed_loop(hidden: HiddenInLoop, seed: u64) -> Diagnosis {
     let folder = tempfile::tempdir().expect("a temporary folder");
     tracking::write(&tracking::sines(&hidden, seed), folder.path()).expect("the folder can be written");
-    answer(&folder.path().to_path_buf())
+    answer(folder.path())
 }
 
 /// The loop hides model errors in position and quantisation makes others: neither may get a name.

@@ -344,7 +344,7 @@ fn no_motion_is_said() {
         csv.push_str(&format!("{},0\n", k * 1000));
     }
     let folder = folder_with(toml, &csv);
-    let d = answer(&folder.path().to_path_buf());
+    let d = answer(folder.path());
     assert!(d.notes.iter().any(|n| n.contains("no run shows motion")), "{:?}", d.notes);
     assert!(d.suspected().is_empty());
 }
@@ -355,7 +355,7 @@ fn one_duty_says_what_it_cannot_say() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let design = Design { duties: vec![0.5], trials: 5, seconds: 1.5, both_directions: false, ..Design::small() };
     Sealed::new(design, 21).make(&[]).write(folder.path(), "one").expect("the folder can be written");
-    let d = answer(&folder.path().to_path_buf());
+    let d = answer(folder.path());
     assert!(d.baseline.scores.r2_speed.is_none());
     for name in ["dead-zone", "supply-sag", "direction-asymmetry"] {
         assert!(d.not_judged.contains_key(name), "{name}: {:?}", d.not_judged);
