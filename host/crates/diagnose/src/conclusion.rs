@@ -270,9 +270,11 @@ fn could_be_none(effect: &Effect, part: &Part, estimates: &[Estimate]) -> bool {
 /// Time in s within which the waves of such motors build up and settle: 0.2 to 5 ms, by their stators' damping.
 const OF_A_WAVE_S: f64 = 3e-3;
 
-/// Whether a supply gives way as fast as a wave builds up, of which this motor's may be another one than the rotor's equation has.
+/// Whether a supply gives way, or the drive's frequency settles, as fast as a wave builds up, of which this motor's may be another one than the
+/// rotor's equation has.
 fn over_as_a_wave_is(part: &Part, model: &Model) -> bool {
-    part.free.iter().any(|f| f.parameter == P::SagTime) && model.parameters.get(P::SagTime) < OF_A_WAVE_S
+    let of_a_wave = |p: P| matches!(p, P::SagTime | P::SettleTau) && model.parameters.get(p) <= OF_A_WAVE_S;
+    part.free.iter().any(|f| of_a_wave(f.parameter))
 }
 
 /// Numbers of a curve over the duty that the motor's own parameters take up: free speed and what each pulse loses.

@@ -9,8 +9,8 @@ pub(super) fn effect() -> Effect {
     let acting = |form: Form, speed: f64, torque: f64, brake: f64| {
         form.pinned(P::RunoutSpeed, speed).pinned(P::RunoutTorque, torque).pinned(P::RunoutBrake, brake)
     };
-    // What presses more rubs more, with a wave and without one.
     let harmonics: [&[usize]; 4] = [&[0], &[1], &[0, 1], &[0, 1, 2, 3]];
+    // What presses more rubs more, with a wave and without one.
     let on_all = harmonics.into_iter().map(|h| acting(turns(h), 1.0, 1.0, 1.0));
     let on_speed = harmonics.into_iter().map(|h| acting(turns(h), 1.0, 0.0, 0.0));
     let on_torque = harmonics[..3].iter().map(|h| acting(turns(h), 0.0, 1.0, 0.0));

@@ -157,7 +157,8 @@ const MOST_LIFT: f64 = 0.9;
 mod tests {
     use super::*;
 
-    /// When the drive is switched in s, on first: after the second pulse the amplitude of the first is left, half a turn behind.
+    /// When the drive is switched in s, on first: as the second pulse begins a twelfth of the first one's amplitude is left, a third of a turn
+    /// behind.
     const SWITCHED: [f64; 4] = [0.0, 4e-3, 6.5e-3, 9e-3];
     const TAU: f64 = 1e-3;
     const DETUNING: f64 = 0.8;
