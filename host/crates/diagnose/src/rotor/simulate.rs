@@ -58,7 +58,14 @@ enum By {
     Friction,
 }
 
-/// One piece of the period that later ones repeat: when it began and from what.
+/// A period that later ones repeat: its pieces, and by how far it turns the rotor in all and the speed it leaves, once one was repeated.
+#[derive(Default)]
+struct Record {
+    pieces: Vec<Repeated>,
+    whole: Option<(f64, f64)>,
+}
+
+/// One piece of it: when it began and from what.
 struct Repeated {
     t: f64,
     angle: f64,
@@ -118,8 +125,8 @@ struct Simulation<'a> {
     /// Relative changes of the wave's speed and of the friction since the contact was new, and the revolutions up to which they are held.
     worn: [f64; 2],
     worn_until: f64,
-    /// The pieces of the period that is recorded, if one is.
-    record: Option<Vec<Repeated>>,
+    /// The period that is recorded, if one is.
+    record: Option<Record>,
 }
 
 impl<'a> Simulation<'a> {
@@ -196,18 +203,18 @@ impl<'a> Simulation<'a> {
                 let last = &periods[k - 1];
                 last.duty == period.duty && (last.end - last.start - (period.end - period.start)).abs() < 1e-12
             };
+            let worn = self.wears();
+            let repeats = whole && same && !worn && self.can_repeat();
+            if repeats && let Some(mut record) = self.record.take_if(|r| !r.pieces.is_empty()) {
+                self.repeat(period.start, period.end, &mut record);
+                self.record = Some(record);
+                continue;
+            }
             let wave = self.wave.amplitude_at(self.t);
             let now = [self.speed / self.wave.full, self.sagged, wave.re, wave.im];
             let still = now.iter().zip(before).all(|(now, before)| (now - before).abs() <= REPEATS);
-            let worn = self.wears();
-            let repeats = whole && same && !worn && self.can_repeat();
             before = now;
-            if repeats && let Some(pieces) = self.record.take_if(|r| !r.is_empty()) {
-                self.repeat(period.start, period.end, &pieces);
-                self.record = Some(pieces);
-                continue;
-            }
-            self.record = (repeats && still).then(Vec::new);
+            self.record = (repeats && still).then(Record::default);
             self.period(period.start, period.end, period.duty);
             if self.p.get(P::HeatLoss) != 0.0 {
                 let duty = effective_duty(period.duty, self.p);
@@ -218,7 +225,7 @@ impl<'a> Simulation<'a> {
     }
 
     /// Answers what falls into a period that repeats a recorded one.
-    fn repeat(&mut self, start: f64, end: f64, pieces: &[Repeated]) {
+    fn repeat(&mut self, start: f64, end: f64, Record { pieces, whole }: &mut Record) {
         let (first, from) = (pieces[0].t, pieces[0].angle);
         let mut k = 0;
         while !self.done() && self.asked[self.next] <= end {
@@ -231,10 +238,13 @@ impl<'a> Simulation<'a> {
             self.speeds.push(w);
             self.next += 1;
         }
-        let last = &pieces[pieces.len() - 1];
-        let (a, w) = last.piece.at(last.speed, end - start + first - last.t);
-        self.angle += last.angle - from + a;
-        self.speed = w;
+        let (advance, speed) = *whole.get_or_insert_with(|| {
+            let last = &pieces[pieces.len() - 1];
+            let (a, w) = last.piece.at(last.speed, end - start + first - last.t);
+            (last.angle - from + a, w)
+        });
+        self.angle += advance;
+        self.speed = speed;
         self.t = end;
         self.wave.shift(end - start);
     }
@@ -384,7 +394,7 @@ impl<'a> Simulation<'a> {
     /// Follows a closed form until it ends, or until `end`.
     fn follow(&mut self, piece: Piece, end: f64) {
         if let Some(record) = &mut self.record {
-            record.push(Repeated { t: self.t, angle: self.angle, speed: self.speed, piece });
+            record.pieces.push(Repeated { t: self.t, angle: self.angle, speed: self.speed, piece });
         }
         let stop = (self.t + piece.duration.max(1e-9)).min(end);
         while !self.done() && self.asked[self.next] <= stop {
