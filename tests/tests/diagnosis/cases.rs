@@ -256,6 +256,14 @@ fn thorough_few_lost_words_are_found_beside_another_effect() {
     assert!(d.suspected().contains(&"dropped-samples"), "{:?}", d.suspected());
 }
 
+/// Slots of which one kind is 2.3 times as wide as the other. Fails if words are looked for beside edges where equal slots have them: then every
+/// interval is as wild as a gap.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_lost_words_are_found_beside_unequal_slots() {
+    both_are_found("c", 20_031, ["dropped-samples", "unequal-edges"]);
+}
+
 /// A runout and a heating, beside which the end of five drives of 34 looks like lost words. Fails if gaps where the drive ends count though several
 /// runs have one.
 #[test]

@@ -3,6 +3,7 @@
 use super::observe::{Observed, some_of_each, thin};
 use super::rotor::{P, Parameters, RunInput, RunTerms, Trajectory, simulate, warm_up};
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 use twum_motor::hypothesis::Hypothesis;
@@ -183,13 +184,16 @@ impl Problem {
             .collect()
     }
 
-    /// Simulated rotor angle of every run at its measured times, in rad.
+    /// What the encoder of every run shows of the simulated rotor's angle at its measured times, in rad.
     pub fn angles(&self, model: &Model) -> Vec<Vec<f64>> {
         let warmth = self.warmth(&model.parameters);
-        (0..self.runs.len())
-            .into_par_iter()
-            .map(|i| simulate(&self.input(i, warmth[i]), &model.parameters, &model.terms[i]).angle)
-            .collect()
+        let p = &model.parameters;
+        let one = |i: usize| {
+            let terms = &model.terms[i];
+            let angle = simulate(&self.input(i, warmth[i]), p, terms).angle;
+            self.shown(i, &angle, p, terms).into_owned()
+        };
+        (0..self.runs.len()).into_par_iter().map(one).collect()
     }
 
     fn input(&self, i: usize, warmth: f64) -> RunInput<'_> {
@@ -215,31 +219,20 @@ impl Problem {
         let run = &self.runs[i];
         let angle = &trajectory.angle;
         let [mut rpm, mut predicted] = [(); 2].map(|()| Vec::with_capacity(run.windows.len()));
-        let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
-        let wheel: Vec<f64> = if terms.eccentricity.iter().any(|c| *c != 0.0) {
-            run.angles.iter().map(|shown| terms.encoder_error(*shown)).collect()
-        } else {
-            Vec::new()
-        };
+        let shown = self.shown(i, angle, p, terms);
         let track = run.kind == RunKind::Track;
         let backlash = p.get(P::Backlash);
         let miscount = p.get(P::Miscount);
         let drift = p.get(P::MiscountDrift);
         for w in &run.windows {
-            let mut advance = angle[w.to] - angle[w.from];
-            if w.low == w.high {
-                if offset != 0.0 {
-                    advance -= offset * f64::from(run.level[w.from] - run.level[w.to]);
-                }
-                if !wheel.is_empty() {
-                    advance += wheel[w.to] - wheel[w.from];
-                }
-                if track && (backlash != 0.0 || miscount != 0.0 || drift != 0.0) {
-                    // Thousands in a loop that chatters: they are sorted by time.
-                    let until = |t: f64| run.reversals.partition_point(|r| r.0 <= t);
-                    for (_, sign) in &run.reversals[until(run.times[w.from])..until(run.times[w.to])] {
-                        advance += (sign * miscount + drift) * run.pitch - sign * backlash;
-                    }
+            let exact = w.low == w.high;
+            let of = if exact { &shown } else { angle.as_slice() };
+            let mut advance = of[w.to] - of[w.from];
+            if exact && track && (backlash != 0.0 || miscount != 0.0 || drift != 0.0) {
+                // Thousands in a loop that chatters: they are sorted by time.
+                let until = |t: f64| run.reversals.partition_point(|r| r.0 <= t);
+                for (_, sign) in &run.reversals[until(run.times[w.from])..until(run.times[w.to])] {
+                    advance += (sign * miscount + drift) * run.pitch - sign * backlash;
                 }
             }
             let measured = advance.clamp(w.low, w.high);
@@ -248,5 +241,17 @@ impl Problem {
             predicted.push(advance / dt * RPM);
         }
         RunResidual { rpm, predicted, trajectory }
+    }
+
+    /// The rotor's angles as the encoder of run `i` shows them where edges are seen: slots that differ, and a wheel that is off its centre.
+    fn shown<'a>(&self, i: usize, angle: &'a [f64], p: &Parameters, terms: &RunTerms) -> Cow<'a, [f64]> {
+        let run = &self.runs[i];
+        let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
+        let eccentric = terms.eccentricity.iter().any(|c| *c != 0.0);
+        if offset == 0.0 && !eccentric {
+            return Cow::Borrowed(angle);
+        }
+        let wheel = |k: usize| if eccentric { terms.encoder_error(run.angles[k]) } else { 0.0 };
+        angle.iter().enumerate().map(|(k, a)| a + offset * f64::from(run.level[k]) + wheel(k)).collect()
     }
 }
