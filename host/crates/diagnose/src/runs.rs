@@ -64,8 +64,11 @@ pub fn diagnose_runs(
     // Behind another effect's error they may not have shown, be it one that is not certain; or that error looked like them.
     let with_effects = sets.iter().find(|s| !s.parts.is_empty());
     if let Some(found) = with_effects.map(|s| &s.model) {
-        // Beside a clock that is known to be wrong, no clock does as well.
         let clock = sets[0].parts.iter().any(|p| p.free.iter().any(|f| f.parameter == P::ClockError));
+        let of_clock = |e: &usize| {
+            let mut sizes = effects[*e].forms.iter().flat_map(|f| &f.sizes);
+            sizes.any(|s| s.parameter == P::ClockError)
+        };
         let again = match &moved {
             Some(Shifted::Lost(_)) if sets[0].parts.is_empty() => None,
             Some(Shifted::Lost(before)) => {
@@ -73,9 +76,10 @@ pub fn diagnose_runs(
                 let same = again.as_ref().is_some_and(|again| again.lost == before.lost);
                 (!same).then(|| again.map(Shifted::Lost))
             }
-            _ if clock => lost(problem, found, settings).map(|gaps| Some(Shifted::Lost(gaps))),
-            None => shifted(problem, found, home, settings).map(Some),
-            Some(Shifted::Clock(_)) => None,
+            None if !clock => shifted(problem, found, home, settings).map(Some),
+            Some(Shifted::Clock(_)) if !clock && !usable.iter().any(of_clock) => None,
+            // Beside a clock that is known to be wrong, no clock does as well; and one that did, and is not in the best set, was none.
+            _ => lost(problem, found, settings).map(|gaps| Some(Shifted::Lost(gaps))),
         };
         if let Some(again) = again {
             moved = again;
