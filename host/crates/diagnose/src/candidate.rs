@@ -104,10 +104,7 @@ impl Ground<'_> {
                 continue;
             }
             // What a part changes already has one size.
-            let taken = |f: &Form| {
-                let free = |s: &Size| from.parts.iter().any(|p| p.free.iter().any(|f| f.parameter == s.parameter));
-                f.sizes.iter().any(free)
-            };
+            let taken = |f: &Form| f.sizes.iter().any(|s| from.parts.iter().any(|p| p.changes(s.parameter)));
             let forms_of = self.effects[effect].forms.iter().enumerate().filter(|(_, f)| !taken(f));
             for (k, form) in forms_of {
                 let sizes: Vec<usize> = form.columns().into_iter().map(|c| place(columns, c)).collect();
@@ -129,6 +126,11 @@ impl Ground<'_> {
     /// Effects that are not both in a set: they are one thing seen from two sides.
     fn excluded(&self, effect: usize, present: &[usize]) -> bool {
         present.iter().any(|p| self.effects[effect].is_twin(&self.effects[*p]))
+    }
+
+    /// Whether two effects may be in one set, as these forms of them.
+    pub(super) fn may_join(&self, one: &Part, other: &Part) -> bool {
+        !self.excluded(one.effect, &[other.effect]) && one.free.iter().all(|f| !other.changes(f.parameter))
     }
 
     /// Sizes from the coefficients of a linear search, if they can be.

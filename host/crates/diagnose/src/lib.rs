@@ -59,6 +59,7 @@ pub mod runs;
 pub mod saved;
 pub mod search;
 pub mod set;
+mod starts;
 pub mod stats;
 pub mod timing;
 pub mod verdict;

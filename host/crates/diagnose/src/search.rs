@@ -12,11 +12,10 @@ use super::ground::Ground;
 use super::library::{Coordinate, Form};
 use super::problem::Model;
 use super::refit::{coefficients, put_coefficients, within};
-use super::rotor::{P, Parameters};
+use super::rotor::P;
 use super::set::{Part, Set, key, strip};
 use super::verdict::MOST_OF_A_COURSE;
 use rayon::prelude::*;
-use twum_fit::noise::Noise;
 
 /// Most effects in a set.
 pub(super) const MOST_EFFECTS: usize = 4;
@@ -24,10 +23,7 @@ pub(super) const MOST_EFFECTS: usize = 4;
 pub(super) const MOST_EXPANDED: usize = 6;
 /// Effects of a set's candidates that are refitted.
 pub(super) const TRIED: usize = 4;
-/// A set this far behind the best, in nats, is not looked at further: what it leads to has to make up for that too.
-pub(super) const WINDOW: f64 = 9.0;
-/// Sets from which others are looked for in vain before it is enough: what is near the best and leads nowhere is the best and something that
-/// does nothing.
+/// Sets from which others are looked for in vain before it is enough.
 const IN_VAIN: usize = 2;
 /// Times that the search goes on from another set that leads once rivals were put in the places of the best one's effects.
 const SWAPS: usize = 2;
@@ -41,8 +37,9 @@ const LAST_STEPS: usize = 24;
 /// Share of the error of form that was counted below which all sets are weighed anew: a tenth less is as many nats as an effect may be behind.
 const LEAST_SHRUNK: f64 = 0.9;
 /// Steps of a first look: beside an effect of a given size, from another rotor, without an effect.
-const FEW_STEPS: usize = 4;
-/// Nats behind what the best candidate brought from which one waits for a later set: what a linear look promises is often not kept.
+pub(super) const FEW_STEPS: usize = 4;
+/// Nats behind what the best candidate brought from which one waits for a later set, and behind the best set from which a set is not looked at
+/// further: what a linear look promises is often not kept.
 const FAR_BEHIND: f64 = 20.0;
 
 impl Ground<'_> {
@@ -70,6 +67,7 @@ impl Ground<'_> {
         self.expand(&other, &self.usable, TRIED, true, &mut pool);
         self.each_alone(&other, &mut pool);
         self.each_on_its_course(&mut pool);
+        self.both_alone(&mut pool);
         for turn in 0..=SWAPS {
             self.grow(&mut pool, turn, progress);
             let before = best(&pool).key();
@@ -95,7 +93,10 @@ impl Ground<'_> {
             // Terms without physics give way to what explains them, so that they do not close the way to it.
             let reach = |s: &Set| s.score - FREE_FORM_COST * s.terms.len() as f64;
             let farthest = pool.iter().map(reach).fold(f64::NEG_INFINITY, f64::max);
-            let open = |s: &Set| !s.expanded && s.parts.len() < MOST_EFFECTS && s.score > farthest - WINDOW;
+            let near = |s: &Set| s.parts.len() < MOST_EFFECTS && s.score > farthest - FAR_BEHIND;
+            // What is no better than with an effect less has one that does nothing: it leads where that led.
+            let leads = |s: &Set| !pool.iter().any(|less| less.expanded && less.score >= s.score && less.is_within(s));
+            let open = |s: &Set| !s.expanded && near(s) && leads(s);
             let next =
                 (0..pool.len()).filter(|i| open(&pool[*i])).max_by(|a, b| pool[*a].score.total_cmp(&pool[*b].score));
             let Some(at) = next else { break };
@@ -177,29 +178,6 @@ impl Ground<'_> {
         if listed.score > pool[0].score { std::mem::replace(&mut pool[0], listed) } else { listed }
     }
 
-    /// Effects that do most alone where they are as large as is plausible and the motor is refitted beside them, to a few of the runs: what the
-    /// baseline's refit has taken up of an effect, no look around that baseline shows.
-    fn each_alone(&self, other: &Set, pool: &mut Vec<Set>) {
-        let noise = self.noise(&pool[0]);
-        let few = self.problem.thinned();
-        let ground = Ground::new(&few, self.home.clone(), self.effects, self.usable.clone());
-        // As many nats for as much of the data.
-        let share = few.windows() / self.problem.windows() * self.independent / ground.independent;
-        let noise_of_few = Noise { variance: noise.variance * share, ..noise };
-        let motors = [&pool[0], other].map(|set| set.model.parameters.clone());
-        let held = |effect: &usize| ground.held(*effect, &motors, noise_of_few);
-        let mut alone: Vec<(f64, Part, Parameters)> = self.usable.par_iter().filter_map(held).collect();
-        alone.sort_by(|a, b| a.0.total_cmp(&b.0));
-        alone.truncate(TRIED);
-        let root = &pool[0];
-        let refitted = |(_, part, parameters): (f64, Part, Parameters)| {
-            let parts = vec![part];
-            let model = self.refitted(self.problem.model(parameters), &parts, noise, 8);
-            self.weigh_set(parts, model, Some(root))
-        };
-        self.put_all(alone.into_par_iter().map(refitted).collect(), pool);
-    }
-
     /// Effects that a course which each run has of its own may be, whatever they weigh: the phase of each run costs the evidence more than such a
     /// course leaves in doubt.
     fn each_on_its_course(&self, pool: &mut Vec<Set>) {
@@ -214,23 +192,6 @@ impl Ground<'_> {
                 self.put(self.with(&root, c, &pool[0]), pool);
             }
         }
-    }
-
-    /// The misfit of the best of `motors` refitted beside an effect that is as large as is plausible; `None` of one that has no size.
-    fn held(&self, effect: usize, motors: &[Parameters], noise: Noise) -> Option<(f64, Part, Parameters)> {
-        let common = |f: &&Form| !f.sizes.is_empty() && f.phased.is_empty();
-        let (form, spec) = self.effects[effect].forms.iter().enumerate().find(|f| common(&f.1))?;
-        let both_ways = spec.sizes.iter().all(|s| s.bounds.0 < 0.0);
-        let signs = [1.0, -1.0].into_iter().take(1 + usize::from(both_ways));
-        let starts = signs.flat_map(|sign| motors.iter().map(move |motor| (sign, motor)));
-        let held = starts.map(|(sign, motor)| {
-            let shaped = spec.shapes.iter().fold(motor.clone(), |p, s| p.with(s.parameter, s.start));
-            let sized = spec.sizes.iter().fold(shaped, |p, s| p.with(s.parameter, sign * s.scale));
-            let model = self.refitted(at_speed(self.problem, self.problem.model(sized)), &[], noise, FEW_STEPS);
-            (self.misfit(&model, &[], noise), model.parameters)
-        });
-        let (misfit, parameters) = held.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some((misfit, Part { effect, form, free: free_of(spec), phased: Vec::new() }, parameters))
     }
 
     /// In closed loops, what the root's own friction without a wave departs from the file's, said as `off-phase-braking`: a linear look
@@ -284,14 +245,12 @@ impl Ground<'_> {
         Some(self.weigh_set(parts, model, Some(root)))
     }
 
-    /// A better baseline, where a set without its effect leads to one: the refit had stopped in another valley. What was found stays, refitted
+    /// A better baseline, where a set without its effects leads to one: the refit had stopped in another valley. What was found stays, refitted
     /// and weighed beside the new one, and what shows beside that joins it.
     fn reseat(&self, pool: &mut Vec<Set>) {
         let Some(best) = pool.iter().skip(1).max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
-        if best.parts.len() != 1 {
-            return;
-        }
-        let model = self.refitted(strip(&best.model, &best.parts[0]), &[], self.noise(best), 8);
+        let bare = best.parts.iter().fold(best.model.clone(), |model, part| strip(&model, part));
+        let model = self.refitted(bare, &[], self.noise(best), 8);
         let again = self.root(model);
         if again.score > pool[0].score + 1.0 {
             let others = pool.split_off(1);
@@ -428,7 +387,7 @@ impl Ground<'_> {
     }
 
     /// The set in the pool, in the place of one of the same effects that is worse.
-    fn put(&self, set: Set, pool: &mut Vec<Set>) {
+    pub(super) fn put(&self, set: Set, pool: &mut Vec<Set>) {
         let key = set.key();
         match pool.iter().position(|s| s.key() == key) {
             Some(k) if pool[k].score >= set.score => {}
@@ -438,7 +397,7 @@ impl Ground<'_> {
     }
 
     /// The sets in the pool, one after the other.
-    fn put_all(&self, sets: Vec<Set>, pool: &mut Vec<Set>) {
+    pub(super) fn put_all(&self, sets: Vec<Set>, pool: &mut Vec<Set>) {
         for set in sets {
             self.put(set, pool);
         }

@@ -21,6 +21,13 @@ pub struct Part {
     pub phased: Vec<Phased>,
 }
 
+impl Part {
+    /// Whether it has this number.
+    pub fn changes(&self, parameter: P) -> bool {
+        self.free.iter().any(|f| f.parameter == parameter)
+    }
+}
+
 /// A set of effects, refitted and weighed.
 #[derive(Debug, Clone)]
 pub struct Set {
@@ -48,6 +55,11 @@ impl Set {
     /// Indices of its effects, sorted.
     pub fn key(&self) -> Vec<usize> {
         key(&self.parts)
+    }
+
+    /// Whether all of its effects are among another set's.
+    pub fn is_within(&self, other: &Self) -> bool {
+        self.parts.iter().all(|p| other.parts.iter().any(|o| o.effect == p.effect))
     }
 
     /// What the verdict has to know of it.

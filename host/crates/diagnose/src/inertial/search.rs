@@ -1,7 +1,7 @@
 //! The search over sets of effects of an ordinary motor: the engine's order, costs and bounds, with this plant's refits.
 
 use super::super::form_error::FormError;
-use super::super::search::{MOST_EFFECTS, MOST_EXPANDED, TRIED, WINDOW};
+use super::super::search::{MOST_EFFECTS, MOST_EXPANDED, TRIED};
 use super::super::verdict::ALIKE;
 use super::effects::{EFFECTS, Form, is_time, twin};
 use super::fit::{Plant, misfit, refit};
@@ -10,6 +10,8 @@ use super::thin::thinned;
 use super::values::{P, Values};
 use rayon::prelude::*;
 
+/// A set this far behind the best, in nats, is not looked at further: what it leads to has to make up for that too.
+const WINDOW: f64 = 9.0;
 /// Nats behind the best set within which a set found in a part of the record is refitted on the whole: that far a rival counts.
 const NEAR: f64 = ALIKE;
 /// Steps of such a refit: it begins where the same motor was fitted, and each step at least halves what is left.
