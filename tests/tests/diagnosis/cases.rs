@@ -134,6 +134,16 @@ fn a_softer_contact_than_any_motors_own_is_named() {
     assert_eq!(of_a_case("d", Kind::Single, 20_018).named(), ["contact-stiffening"]);
 }
 
+/// Nothing is hidden; the first pulse of each run is late by 0.2 ms. Fails if it is believed to the last microsecond: then a delay of the start is
+/// a possible cause.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_first_pulse_a_little_late_has_no_cause() {
+    for seed in [310, 436] {
+        nothing_is_said("e", seed);
+    }
+}
+
 /// Nothing is hidden; contacts that spring back move the pulses by a tenth of a millisecond, which edges timed to microseconds show. Fails if the
 /// rotor's equation is believed to the last microsecond: then a delay of the start is named.
 #[test]
