@@ -184,14 +184,16 @@ impl Problem {
             .collect()
     }
 
-    /// What the encoder of every run shows of the simulated rotor's angle at its measured times, in rad.
+    /// What the slots of every run's encoder show of the simulated rotor's angle at its measured times, in rad. A wheel's error is left out: its phase
+    /// in each run was fitted where lost words were put back, which is what is asked with these angles.
     pub fn angles(&self, model: &Model) -> Vec<Vec<f64>> {
         let warmth = self.warmth(&model.parameters);
         let p = &model.parameters;
         let one = |i: usize| {
             let terms = &model.terms[i];
             let angle = simulate(&self.input(i, warmth[i]), p, terms).angle;
-            self.shown(i, &angle, p, terms).into_owned()
+            let centred = RunTerms { eccentricity: RunTerms::default().eccentricity, ..*terms };
+            self.shown(i, &angle, p, &centred).into_owned()
         };
         (0..self.runs.len()).into_par_iter().map(one).collect()
     }
