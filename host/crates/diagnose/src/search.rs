@@ -67,7 +67,6 @@ impl Ground<'_> {
         self.expand(&other, &self.usable, TRIED, true, &mut pool);
         self.each_alone(&other, &mut pool);
         self.each_on_its_course(&mut pool);
-        self.both_alone(&mut pool);
         for turn in 0..=SWAPS {
             self.grow(&mut pool, turn, progress);
             let before = best(&pool).key();
@@ -104,11 +103,13 @@ impl Ground<'_> {
             let from = pool[at].clone();
             let before = best(pool).score;
             self.expand(&from, &self.usable, TRIED, false, pool);
-            in_vain = if best(pool).score > before { 0 } else { in_vain + 1 };
             if turn == 0 && round == 0 {
                 self.reseat(pool);
                 self.reseat_beside(pool);
+                // After what the best alone leads to, which would be looked for no more from behind a pair.
+                self.both_alone(pool);
             }
+            in_vain = if best(pool).score > before { 0 } else { in_vain + 1 };
             self.remove(pool);
             if self.bound_form(pool) {
                 in_vain = 0;
