@@ -104,14 +104,6 @@ fn thorough_a_saturation_is_no_sag_of_a_wave_at_its_resonance() {
     assert_eq!(of_a_case("d", Kind::Single, 20_026).suspected(), ["high-duty-saturation"]);
 }
 
-/// Nothing is hidden; the first 3 ms of each run are otherwise than the rotor's equation has them. Fails if that is NAMED a frequency that settles.
-#[test]
-#[ignore = "takes long: .ci/run thorough"]
-fn thorough_what_is_over_as_a_wave_is_has_no_name() {
-    let d = of_a_case("e", Kind::Null, 301);
-    assert!(d.named().is_empty(), "{:?}", d.named());
-}
-
 /// Unequal slots beside a weak wear. Fails if what a wear without an end leaves over the order silences the slots.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]

@@ -10,7 +10,6 @@ use super::library::{Coordinate, Effect};
 use super::numbers::estimates;
 use super::problem::{Model, Problem};
 use super::refit::{objective, refit};
-use super::rotor::P;
 use super::set::{Part, Set, strip};
 use super::stats::HeldOut;
 use super::verdict::{
@@ -183,9 +182,8 @@ impl View<'_> {
             let by_chance = p_null > LARGEST_P
                 || could_be_none(effect, part, &parameters)
                 || any_curve_does(ground.problem, effect, [&less, accepted]);
-            let as_a_wave = over_as_a_wave_is(part, &accepted.model);
-            let doubted = once || by_chance || as_a_wave;
-            let conflicts = match (once || (by_chance || as_a_wave) && !one_of, one_of) {
+            let doubted = once || by_chance;
+            let conflicts = match (once || by_chance && !one_of, one_of) {
                 (true, _) => effect.conflicts.iter().map(|c| (*c).to_owned()).collect(),
                 (_, true) => [self.rivals(part.effect), unseen].concat(),
                 _ => unseen,
@@ -201,10 +199,10 @@ impl View<'_> {
                 conflicts,
                 next_experiment: effect.next_experiment.to_owned(),
                 share: 0.0,
-                note: match (by_chance, as_a_wave) {
-                    (true, _) => "likely, but chance does as much to such runs, or its size could be none",
-                    (_, true) => "likely, but it is over as soon as the wave of another motor has built up",
-                    _ => "",
+                note: if by_chance {
+                    "likely, but chance does as much to such runs, or its size could be none"
+                } else {
+                    ""
                 }
                 .to_owned(),
             }
@@ -265,16 +263,6 @@ fn could_be_none(effect: &Effect, part: &Part, estimates: &[Estimate]) -> bool {
     };
     let mut sizes = estimates.iter().filter(|e| is_size(e)).peekable();
     form.phased.is_empty() && sizes.peek().is_some() && sizes.all(|e| e.interval[0] <= 0.0 && e.interval[1] >= 0.0)
-}
-
-/// Time in s within which the waves of such motors build up and settle: 0.2 to 5 ms, by their stators' damping.
-const OF_A_WAVE_S: f64 = 3e-3;
-
-/// Whether a supply gives way, or the drive's frequency settles, as fast as a wave builds up, of which this motor's may be another one than the
-/// rotor's equation has.
-fn over_as_a_wave_is(part: &Part, model: &Model) -> bool {
-    let of_a_wave = |p: P| matches!(p, P::SagTime | P::SettleTau) && model.parameters.get(p) <= OF_A_WAVE_S;
-    part.free.iter().any(|f| of_a_wave(f.parameter))
 }
 
 /// Numbers of a curve over the duty that the motor's own parameters take up: free speed and what each pulse loses.
