@@ -190,10 +190,8 @@ impl Problem {
         let warmth = self.warmth(&model.parameters);
         let p = &model.parameters;
         let one = |i: usize| {
-            let terms = &model.terms[i];
-            let angle = simulate(&self.input(i, warmth[i]), p, terms).angle;
-            let centred = RunTerms { eccentricity: RunTerms::default().eccentricity, ..*terms };
-            self.shown(i, &angle, p, &centred).into_owned()
+            let angle = simulate(&self.input(i, warmth[i]), p, &model.terms[i]).angle;
+            self.shown(i, &angle, p, &RunTerms::default()).into_owned()
         };
         (0..self.runs.len()).into_par_iter().map(one).collect()
     }

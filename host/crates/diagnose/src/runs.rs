@@ -64,7 +64,7 @@ pub fn diagnose_runs(
     // Behind another effect's error they may not have shown, be it one that is not certain; or that error looked like them.
     let with_effects = sets.iter().find(|s| !s.parts.is_empty());
     if let Some(found) = with_effects.map(|s| &s.model) {
-        let clock = sets[0].parts.iter().any(|p| p.free.iter().any(|f| f.parameter == P::ClockError));
+        let clock = sets[0].parts.iter().any(|p| p.changes(P::ClockError));
         let of_clock = |e: &usize| {
             let mut sizes = effects[*e].forms.iter().flat_map(|f| &f.sizes);
             sizes.any(|s| s.parameter == P::ClockError)

@@ -22,7 +22,7 @@ pub struct Part {
 }
 
 impl Part {
-    /// Whether it has this number.
+    /// Whether this parameter is one of its own.
     pub fn changes(&self, parameter: P) -> bool {
         self.free.iter().any(|f| f.parameter == parameter)
     }

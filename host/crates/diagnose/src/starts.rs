@@ -27,7 +27,7 @@ impl Ground<'_> {
     pub(super) fn each_alone(&self, other: &Set, pool: &mut Vec<Set>) {
         let noise = self.noise(&pool[0]);
         let few = self.problem.thinned();
-        let (ground, noise_of_few) = self.on(&few, noise);
+        let (ground, noise_of_few) = self.of_some_runs(&few, noise);
         let motors = [&pool[0], other].map(|set| set.model.parameters.clone());
         let held = |effect: &usize| ground.held(*effect, &motors, noise_of_few);
         let alone = self.usable.par_iter().filter_map(held).collect();
@@ -68,7 +68,7 @@ impl Ground<'_> {
         }
         let noise = self.noise(alone[0]);
         let few = self.problem.thinned();
-        let (ground, noise_of_few) = self.on(&few, noise);
+        let (ground, noise_of_few) = self.of_some_runs(&few, noise);
         let from_either = |pair: [&Set; 2]| {
             let parts = pair.map(|s| s.parts[0].clone()).to_vec();
             let joined = |[motor, other]: [&Set; 2]| {
@@ -101,8 +101,8 @@ impl Ground<'_> {
         self.put_all(starts.into_par_iter().map(refitted).collect(), pool);
     }
 
-    /// The same search on some of the runs, and the noise of as many nats for as much of the data.
-    fn on<'a>(&'a self, few: &'a Problem, noise: Noise) -> (Ground<'a>, Noise) {
+    /// The same for some of the runs, and the noise beside which as much of the data says as many nats.
+    fn of_some_runs<'a>(&'a self, few: &'a Problem, noise: Noise) -> (Ground<'a>, Noise) {
         let ground = Ground::new(few, self.home.clone(), self.effects, self.usable.clone());
         let share = few.windows() / self.problem.windows() * self.independent / ground.independent;
         (ground, Noise { variance: noise.variance * share, ..noise })
