@@ -110,6 +110,9 @@ impl Ground<'_> {
                 self.both_alone(pool);
             }
             in_vain = if best(pool).score > before { 0 } else { in_vain + 1 };
+            if in_vain == 0 {
+                self.extend_forms(pool);
+            }
             self.remove(pool);
             if self.bound_form(pool) {
                 in_vain = 0;
@@ -323,6 +326,32 @@ impl Ground<'_> {
             brought = brought.max(set.score - from.score);
             self.put(set, pool);
         }
+    }
+
+    /// The best set with effects in forms that have further sizes beside those they have now. No linear look leads there from where the effect was
+    /// not: a clock that drifts is found from one that errs by as much all along.
+    fn extend_forms(&self, pool: &mut Vec<Set>) {
+        let leader = best(pool).clone();
+        let mut wider: Vec<Vec<Part>> = Vec::new();
+        for (k, part) in leader.parts.iter().enumerate() {
+            let forms = &self.effects[part.effect].forms;
+            let mut seen: Vec<&Form> = Vec::new();
+            for (form, spec) in forms.iter().enumerate() {
+                if spec.extends(&forms[part.form]) && seen.iter().all(|other| other.differs(spec)) {
+                    seen.push(spec);
+                    let mut parts = leader.parts.clone();
+                    parts[k] = Part { form, free: free_of(spec), ..part.clone() };
+                    wider.push(parts);
+                }
+            }
+        }
+        let noise = self.noise(&leader);
+        let refitted = |parts: Vec<Part>| {
+            let model = self.refitted(leader.model.clone(), &parts, noise, 8);
+            self.weigh_set(parts, model, Some(&pool[0]))
+        };
+        let wider = wider.into_par_iter().map(refitted).collect();
+        self.put_all(wider, pool);
     }
 
     /// Sets that lack one effect of the best and were not visited.

@@ -314,6 +314,16 @@ impl Form {
             || self.phased != other.phased
     }
 
+    /// Whether it has the sizes of another one and further ones, with the same shapes and phases.
+    pub fn extends(&self, other: &Self) -> bool {
+        let has = |parameter: P| self.sizes.iter().any(|s| s.parameter == parameter);
+        let shapes = |f: &Self| f.shapes.iter().map(|s| s.parameter).collect::<Vec<_>>();
+        self.sizes.len() > other.sizes.len()
+            && other.sizes.iter().all(|s| has(s.parameter))
+            && shapes(self) == shapes(other)
+            && self.phased == other.phased
+    }
+
     /// Its sizes as columns of a design.
     pub fn columns(&self) -> Vec<Column> {
         let shape: Vec<(P, f64)> = self.shapes.iter().map(|s| (s.parameter, s.start)).collect();
