@@ -126,6 +126,21 @@ fn a_softer_contact_than_any_motors_own_is_named() {
     assert_eq!(of_a_case("d", Kind::Single, 20_018).named(), ["contact-stiffening"]);
 }
 
+/// A clock that drifts, beside which a runout is a third of what is left. Fails if the drift is looked for from a clock that is right alone.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_clock_that_drifts_hides_no_runout() {
+    both_are_found("e", 473, ["clock-error", "preload-runout"]);
+}
+
+/// Half of the friction is gone in a warm motor. Fails if warmth changes the speed alone: the friction that is left over the order of the runs was
+/// named a wear.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_friction_that_warms_away_is_a_heating() {
+    assert_eq!(of_a_case("e", Kind::Single, 464).named(), ["resonance-heating"]);
+}
+
 /// Nothing is hidden; the first pulse of each run is late by 0.2 ms. Fails if it is believed to the last microsecond: then a delay of the start is
 /// a possible cause.
 #[test]

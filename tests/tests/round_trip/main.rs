@@ -381,8 +381,8 @@ fn what_was_fitted_is_what_is_saved() {
         ),
         (
             "resonance-heating",
-            &[(P::HeatLoss, 0.1), (P::HeatTau, 4.0), (P::HeatCarry, 0.3)],
-            &[("tau_s", 4.0), ("kept", 0.3)],
+            &[(P::HeatLoss, 0.1), (P::HeatFriction, -0.2), (P::HeatTau, 4.0), (P::HeatCarry, 0.3)],
+            &[("tau_s", 4.0), ("kept", 0.3), ("friction", -0.2)],
         ),
         (
             "frequency-settling",

@@ -162,7 +162,7 @@ impl Problem {
         let carry = p.get(P::HeatCarry);
         if let Some(sequence) = &self.sequence
             && carry > 0.0
-            && p.get(P::HeatLoss) != 0.0
+            && p.warms()
         {
             let mut warmth = 0.0;
             for &i in sequence {

@@ -180,6 +180,7 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
             ("shift_hz", convert.tuning_hz(-of(P::HeatLoss), &up_to(warmth)).ok_or(NOT_REACHED)?),
             ("tau_s", of(P::HeatTau)),
             ("kept", of(P::HeatCarry)),
+            ("friction", of(P::HeatFriction)),
         ],
         "frequency-settling" => vec![
             ("detuning_hz", convert.tuning_hz(of(P::SettleExcess), &decay()).ok_or(NOT_REACHED)?),

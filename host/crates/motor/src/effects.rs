@@ -191,7 +191,7 @@ pub fn info(name: &str) -> Result<&'static EffectInfo, EffectError> {
 }
 
 effects! {
-    /// The stator warms while driven and its resonance falls: dT/dt = (drive − T)/τ, f_r = f0 − shift·T. `T` is carried
+    /// The stator warms while driven and its resonance falls: dT/dt = (drive − T)/τ, f_r = f0 − shift·T, friction·(1 + friction·T). `T` is carried
     /// from run to run in [`super::motor_plant::History`].
     resonance_heating: ResonanceHeating, "resonance-heating", Plant {
         /// Fall of the resonance under continuous drive, once warm (Hz).
@@ -200,6 +200,8 @@ effects! {
         tau_s: "s", Scale, [0.2, 3600.0], 10.0, 10.0;
         /// Share of the warmth that is left at the start of the next run (1).
         kept: "1", Linear, [0.0, 1.0], 1.0, 0.6;
+        /// What the friction has gained when warm, under the wave and without it (1).
+        friction: "1", Linear, [-0.9, 1.0], 0.0, 0.0;
     }
     /// At each start the driver's frequency is off its tracked value and comes back: detuning·exp(−t/τ).
     frequency_settling: FrequencySettling, "frequency-settling", Plant {

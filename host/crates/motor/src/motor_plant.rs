@@ -108,7 +108,9 @@ impl MotorPlant {
         let quick =
             effects.supply_sag.is_some() || effects.frequency_settling.is_some_and(|e| e.tau_s < SETTLES_SLOWLY_S);
         // Nor has the blend's grid an axis for a friction that varies.
-        let rubs = effects.preload_runout.is_some_and(|e| e.on_friction != 0.0 || e.on_braking != 0.0);
+        let rubs = effects.preload_runout.is_some_and(|e| e.on_friction != 0.0 || e.on_braking != 0.0)
+            || effects.resonance_heating.is_some_and(|e| e.friction != 0.0)
+            || effects.run_in_wear.is_some_and(|e| e.friction_run_in != 0.0);
         let blends = moving
             && formulas.is_empty()
             && !quick
@@ -178,6 +180,9 @@ impl MotorPlant {
         let mut m = Modulation { load_nm: -self.hand_nm, ..Modulation::NONE };
         if let Some(e) = e.resonance_heating {
             m.resonance_shift_hz -= e.shift_hz * self.history.warmth;
+            let friction = (1.0 + e.friction * self.history.warmth).clamp(LEAST_FACTOR, 1.0 / LEAST_FACTOR);
+            m.friction *= friction;
+            m.off_friction *= friction;
         }
         if let Some(e) = e.frequency_settling {
             let since_s = if e.on_time > 0.5 { self.driven_s } else { time - self.began_s };

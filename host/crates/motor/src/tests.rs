@@ -300,12 +300,11 @@ fn blending_is_as_good_as_integrating() {
     let p = parameters(Flavour::Physical);
     let model = PlantModel::Motor { parameters: p, flavour: Flavour::Physical, solver: Solver::Averaged };
     let program = Program::constant(0.4, Direction::Cw, 2.0, 2.1);
-    let cases: [(&str, &[f64]); 6] = [
+    let cases: [(&str, &[f64]); 5] = [
         ("resonance-heating", &[200.0, 1.0]),
         ("frequency-settling", &[-400.0, 0.05]),
         ("preload-runout", &[0.15, 1.0]),
         ("run-in-wear", &[0.03, 0.5]),
-        ("run-in-wear", &[0.0, 0.5, -0.1, -0.4]),
         ("gravity-load", &[2e-3, 0.5]),
     ];
     for (name, values) in cases {
@@ -319,22 +318,28 @@ fn blending_is_as_good_as_integrating() {
     }
 }
 
-/// Fails if the friction that has run in is another one than that under drive and without it, or if the drive's strength runs in by its size.
+/// Fails if the friction that has run in, or is warm, is another one than that under drive and without it, or if the drive's strength runs in by
+/// its size.
 #[test]
-fn what_has_run_in_is_a_motor_of_that_friction_and_strength() {
+fn what_has_run_in_or_is_warm_is_a_motor_of_that_friction_and_strength() {
     let p = parameters(Flavour::Physical);
     let model = PlantModel::Motor { parameters: p, flavour: Flavour::Physical, solver: Solver::Averaged };
     let program = Program::constant(0.4, Direction::Cw, 0.5, 0.6);
     let end_rad = |effect: Option<(&str, &[f64])>| {
         let mut effects = EffectSet::default();
         effect.map(|(name, values)| effects.set(name, values)).transpose().unwrap();
-        simulate(&program, &model, &effects, History { revolutions: 1e4, ..History::default() }).end_rad
+        simulate(&program, &model, &effects, History { revolutions: 1e4, warmth: 1.0 }).end_rad
     };
     let run_in = end_rad(Some(("run-in-wear", &[0.0, 10.0, -0.1, -0.4])));
     let other_motor = end_rad(Some(("direction-asymmetry", &[-0.1, -0.4])));
     assert!((run_in / other_motor - 1.0).abs() < 1e-9, "{run_in} and {other_motor} rad");
     assert!((run_in / end_rad(Some(("run-in-wear", &[0.0, 10.0, -0.1]))) - 1.0).abs() > 1e-4);
     assert!((run_in / end_rad(None) - 1.0).abs() > 1e-2);
+    // In half a second of an hour it cools by less than what is compared.
+    let warm = end_rad(Some(("resonance-heating", &[0.0, 3600.0, 1.0, -0.4])));
+    let looser = end_rad(Some(("direction-asymmetry", &[0.0, -0.4])));
+    assert!((warm / looser - 1.0).abs() < 1e-4, "{warm} and {looser} rad");
+    assert!((warm / end_rad(None) - 1.0).abs() > 1e-3);
 }
 
 #[test]

@@ -35,6 +35,8 @@ pub enum P {
     SlipBand,
     /// `resonance-heating`: speed lost when warm, as a fraction at full duty.
     HeatLoss,
+    /// `resonance-heating`: relative change of the friction when warm, under the wave and without it.
+    HeatFriction,
     /// `resonance-heating`: thermal time constant in s.
     HeatTau,
     /// `resonance-heating`: share of the warmth that survives until the next run.
@@ -151,7 +153,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 68] = [
+    pub const ALL: [P; 69] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -164,6 +166,7 @@ impl P {
         P::Latency,
         P::SlipBand,
         P::HeatLoss,
+        P::HeatFriction,
         P::HeatTau,
         P::HeatCarry,
         P::SettleExcess,
@@ -279,6 +282,11 @@ impl Parameters {
     /// The value of one parameter.
     pub fn get(&self, p: P) -> f64 {
         self.0[p as usize]
+    }
+
+    /// Whether anything changes as the motor warms.
+    pub fn warms(&self) -> bool {
+        self.get(P::HeatLoss) != 0.0 || self.get(P::HeatFriction) != 0.0
     }
 
     /// Deceleration without a wave in rad/s², what is missing of the friction taken off.

@@ -186,7 +186,7 @@ impl<'a> Simulation<'a> {
         let since = if self.p.get(P::SettleOnTime) > 0.5 { self.on_time } else { self.t };
         !self.has_angle
             && self.formulas.iter().all(|f| f.0.is_steady())
-            && self.p.get(P::HeatLoss) == 0.0
+            && !self.p.warms()
             && self.input.schedule.directions.len() <= 1
             && (settle == 0.0 || since > SETTLED * self.p.get(P::SettleTau))
     }
@@ -216,7 +216,7 @@ impl<'a> Simulation<'a> {
             before = now;
             self.record = (repeats && still).then(Record::default);
             self.period(period.start, period.end, period.duty);
-            if self.p.get(P::HeatLoss) != 0.0 {
+            if self.p.warms() {
                 let duty = effective_duty(period.duty, self.p);
                 let tau = self.p.get(P::HeatTau).max(1e-3);
                 self.warmth = duty + (self.warmth - duty) * (-(period.end - period.start) / tau).exp();
@@ -351,7 +351,10 @@ impl<'a> Simulation<'a> {
             let (modulation, mut external) = self.over_angle();
             external -= p.get(P::Viscous) * self.speed + self.stribeck(by == By::Wave, sign);
             let [worn_speed, worn_friction] = self.worn;
-            let friction = (1.0 + worn_friction).max(0.01) * (1.0 + sign * p.get(P::AsymFriction));
+            let warm_friction = p.get(P::HeatFriction) * self.warmth;
+            let friction = (1.0 + worn_friction).max(0.01)
+                * (1.0 + warm_friction).max(0.01)
+                * (1.0 + sign * p.get(P::AsymFriction));
             let step_s = end - self.t;
             match by {
                 By::Wave => {
