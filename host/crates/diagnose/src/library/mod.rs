@@ -400,6 +400,17 @@ pub fn not_judged(effect: &Effect, problem: &Problem) -> Option<String> {
 mod tests {
     use super::*;
 
+    /// Fails if a form extends itself, one that has a size that it has not, or one of another shape.
+    #[test]
+    fn a_form_extends_those_whose_sizes_are_among_its_own() {
+        let [speed, friction] = [P::AsymSpeed, P::AsymFriction].map(|p| one(p, 0.1, 0.01, (-1.0, 1.0)));
+        let mut both = speed.clone();
+        both.sizes.extend(friction.sizes.clone());
+        assert!(both.extends(&speed) && both.extends(&friction));
+        assert!(!speed.extends(&both) && !speed.extends(&friction) && !both.extends(&both));
+        assert!(!both.extends(&speed.pinned(P::SettleOnTime, 1.0)));
+    }
+
     /// Fails if a runout is put in a wheel's place with a sign or a harmonic wrong: the wheel's error grows by c·cos(kθ) + s·sin(kθ) a radian.
     #[test]
     fn twins_move_the_angle_alike() {

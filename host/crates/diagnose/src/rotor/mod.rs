@@ -202,6 +202,31 @@ mod tests {
         }
     }
 
+    /// Fails if warmth leaves the friction as it was, or changes only what drives or only what brakes.
+    #[test]
+    fn a_warm_friction_is_that_of_another_rotor() {
+        let schedule = Schedule::constant(0.4, 1.0, 50.0, 0.0, 1.5);
+        let times: Vec<f64> = (1..150).map(|k| 0.01 * f64::from(k)).collect();
+        let measured = vec![0.0; times.len()];
+        let input = RunInput {
+            schedule: &schedule,
+            drive_end: 1.5,
+            times: &times,
+            half_sample_s: 0.0,
+            angles: &measured,
+            warmth: 0.4,
+            revolutions: 0.0,
+            formulas: &[],
+        };
+        let rotor = |friction: f64| Parameters::new(3.6, friction, friction, 0.3, 0.02).with(P::WaveTime, 2.5e-4);
+        let angles = |p: &Parameters| simulate(&input, p, &RunTerms::default()).angle;
+        // At the duty's own warmth nothing warms or cools.
+        let warm = angles(&rotor(1900.0).with(P::HeatFriction, -0.5).with(P::HeatTau, 5.0));
+        for (a, b) in warm.iter().zip(&angles(&rotor(0.8 * 1900.0))) {
+            assert!((a - b).abs() < 1e-4, "{a} {b}");
+        }
+    }
+
     /// Fails if wear is looked at once a run, or if it is held for longer than makes half a hundredth: as a formula over the revolutions it is not
     /// held at all.
     #[test]
