@@ -15,6 +15,8 @@ const LATER_S: [f64; 2] = [5e-4, 1e-2];
 /// as much of itself, by twice as much where the square of the speed counts (braking), and what it tells of the data by the square of that, some
 /// hundredths.
 const SMALL_RHYTHM: f64 = 0.1;
+/// The same of what a warm motor loses of its speed, or its friction changes by.
+const SMALL_WARMTH: f64 = 0.1;
 
 /// A direction in parameter space along which residuals are differentiated.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,7 +98,10 @@ struct Linearised<'a> {
     problem: &'a Problem,
     model: &'a Model,
     columns: &'a [Column],
+    /// Warmth that each run starts with.
     warmth: Vec<f64>,
+    /// Parameters around which common ones are moved, and the warmth of each run with them, where those are not the model's.
+    calm: Option<(Parameters, Vec<f64>)>,
     /// The parameters that each scalar column moves.
     moved: Vec<Option<Moved>>,
     /// The longest drive (s).
@@ -105,7 +110,7 @@ struct Linearised<'a> {
     reversed: Vec<bool>,
 }
 
-/// A run as it is where its derivatives by common parameters are taken.
+/// A run of the calm parameters as it is where its derivatives by common parameters are taken.
 struct Surroundings<'a> {
     terms: RunTerms,
     now: Cow<'a, RunResidual>,
@@ -113,7 +118,7 @@ struct Surroundings<'a> {
 
 /// A parameter moved by a step, with the warmth that the runs then start with.
 struct Moved {
-    /// What it is moved from, where that is not the model itself.
+    /// What it is moved from, where that is not the calm parameters.
     from: Option<(Parameters, Vec<f64>)>,
     to: (Parameters, Vec<f64>),
     per_step: f64,
@@ -125,16 +130,20 @@ impl<'a> Linearised<'a> {
             let warmth = problem.warmth(&p);
             (p, warmth)
         };
+        // In a closed loop no period repeats another, warm or not.
+        let constant = problem.runs.iter().any(|r| r.kind != RunKind::Track);
+        let calm = without_small_warmth(&model.parameters).filter(|_| constant).map(with_warmth);
         let moved = |column: &Column| match column {
             Column::Scalar { parameter, scale, step, shape } => {
-                let from = shape.iter().fold(model.parameters.clone(), |p, (which, value)| p.with(*which, *value));
+                let around = match &calm {
+                    Some((calm, _)) if !P::OF_THE_WARMTH.contains(parameter) => calm,
+                    _ => &model.parameters,
+                };
+                let from = shape.iter().fold(around.clone(), |p, (which, value)| p.with(*which, *value));
                 let to = from.with(*parameter, from.get(*parameter) + step);
-                let is_model = shape.is_empty() || from.get(*parameter) == 0.0;
-                Some(Moved {
-                    from: (!is_model).then(|| with_warmth(from)),
-                    to: with_warmth(to),
-                    per_step: scale / step,
-                })
+                let of_warmth = calm.is_some() && P::OF_THE_WARMTH.contains(parameter);
+                let is_calm = !of_warmth && (shape.is_empty() || from.get(*parameter) == 0.0);
+                Some(Moved { from: (!is_calm).then(|| with_warmth(from)), to: with_warmth(to), per_step: scale / step })
             }
             _ => None,
         };
@@ -144,6 +153,7 @@ impl<'a> Linearised<'a> {
             columns,
             warmth: problem.warmth(&model.parameters),
             moved: columns.iter().map(moved).collect(),
+            calm,
             longest_s: problem.runs.iter().map(|r| r.drive_end).fold(0.0, f64::max).max(1e-6),
             reversed: problem.reversed(),
         }
@@ -165,16 +175,27 @@ impl<'a> Linearised<'a> {
         RunDesign { columns: width, x, y, weight, seconds: run.compared_s() }
     }
 
-    /// Where common parameters are moved: beside a small rhythm of the angle, the same run without it, whose periods repeat each other.
+    /// Where common parameters are moved: beside a small rhythm of the angle or a small warmth, the same run without it, whose periods repeat
+    /// each other.
     fn surroundings<'b>(&self, i: usize, now: &'b RunResidual) -> Surroundings<'b> {
         let terms = &self.model.terms[i];
         let rhythm = terms.runout.iter().chain(&terms.gravity).map(|c| c * c).sum::<f64>().sqrt();
-        if rhythm == 0.0 || rhythm > SMALL_RHYTHM || self.problem.runs[i].kind == RunKind::Track {
+        let stays = rhythm == 0.0 || rhythm > SMALL_RHYTHM || self.problem.runs[i].kind == RunKind::Track;
+        if stays && self.calm.is_none() {
             return Surroundings { terms: *terms, now: Cow::Borrowed(now) };
         }
-        let terms = RunTerms { eccentricity: terms.eccentricity, ..RunTerms::default() };
-        let now = Cow::Owned(self.problem.run_residual(i, &self.model.parameters, &terms, self.warmth[i]));
+        let calm = RunTerms { eccentricity: terms.eccentricity, ..RunTerms::default() };
+        let terms = if stays { *terms } else { calm };
+        let now = Cow::Owned(self.problem.run_residual(i, self.calm_parameters(), &terms, self.calm_warmth(i)));
         Surroundings { terms, now }
+    }
+
+    fn calm_parameters(&self) -> &Parameters {
+        self.calm.as_ref().map_or(&self.model.parameters, |calm| &calm.0)
+    }
+
+    fn calm_warmth(&self, i: usize) -> f64 {
+        self.calm.as_ref().map_or(&self.warmth, |calm| &calm.1)[i]
     }
 
     /// What a unit of column `c` adds to the predicted speed of each window of run `i`, rpm.
@@ -196,8 +217,8 @@ impl<'a> Linearised<'a> {
             }
             Column::Lag(j, n) => {
                 let [step_s, unit_s] = LATER_S;
-                let later = p.with(P::Latency, p.get(P::Latency) + step_s);
-                let later = self.moved_residual(i, &later, self.warmth[i], around);
+                let later = self.calm_parameters().with(P::Latency, p.get(P::Latency) + step_s);
+                let later = self.moved_residual(i, &later, self.calm_warmth(i), around);
                 let at = run.windows.iter().map(|w| hat(*j, *n, w.middle(&run.times) / self.longest_s));
                 change(&around.now, &later, unit_s / step_s)
                     .into_iter()
@@ -225,10 +246,10 @@ impl<'a> Linearised<'a> {
         }
     }
 
-    /// The residuals of parameters `p` that differ in one from the model: what moves the record and not the rotor needs no simulation.
+    /// The residuals of parameters `p` that differ in one from the calm ones: what moves the record and not the rotor needs no simulation.
     fn moved_residual(&self, i: usize, p: &Parameters, warmth: f64, around: &Surroundings) -> RunResidual {
         let Surroundings { terms, now } = around;
-        let here = &self.model.parameters;
+        let here = self.calm_parameters();
         let moves = |which: P| p.get(which) != here.get(which);
         if [P::EdgeOffset, P::Backlash, P::Miscount, P::MiscountDrift].into_iter().any(moves) {
             return self.problem.compared(i, now.trajectory.clone(), p, terms);
@@ -301,6 +322,13 @@ impl<'a> Linearised<'a> {
                 }
             }
     }
+}
+
+/// The parameters without what warmth changes, where that is little.
+fn without_small_warmth(p: &Parameters) -> Option<Parameters> {
+    let little = |which: &P| p.get(*which).abs() <= SMALL_WARMTH;
+    let changes = [P::HeatLoss, P::HeatFriction];
+    (p.warms() && changes.iter().all(little)).then(|| changes.iter().fold(p.clone(), |p, which| p.with(*which, 0.0)))
 }
 
 /// The mean over some time of the cosine (0) or the sine (1) of so many cycles a second.

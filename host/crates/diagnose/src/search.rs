@@ -94,7 +94,7 @@ impl Ground<'_> {
             let farthest = pool.iter().map(reach).fold(f64::NEG_INFINITY, f64::max);
             let near = |s: &Set| s.parts.len() < MOST_EFFECTS && s.score > farthest - FAR_BEHIND;
             // What is no better than with an effect less has one that does nothing: it leads where that led.
-            let leads = |s: &Set| !pool.iter().any(|less| less.expanded && less.score >= s.score && less.is_within(s));
+            let leads = |s: &Set| !pool.iter().any(|less| less.expanded && less.is_worth_no_less_than(s));
             let open = |s: &Set| !s.expanded && near(s) && leads(s);
             let next =
                 (0..pool.len()).filter(|i| open(&pool[*i])).max_by(|a, b| pool[*a].score.total_cmp(&pool[*b].score));
@@ -138,7 +138,7 @@ impl Ground<'_> {
         true
     }
 
-    /// Refits what is near the best until nothing changes, and what lacks one effect of the best from the best's motor: none may lead because
+    /// Refits what is near the best until nothing changes, and looks from the best's motor at what lacks one of its effects: none may lead because
     /// another one stopped early, or in another valley.
     fn finish(&self, pool: &mut Vec<Set>) {
         let mut done: Vec<Vec<usize>> = Vec::new();
@@ -155,7 +155,7 @@ impl Ground<'_> {
             let leader = best(pool).clone();
             if !led.contains(&leader.key()) {
                 led.push(leader.key());
-                let less = |k: usize| self.without(&leader, k, LAST_STEPS, &pool[0]);
+                let less = |k: usize| self.without(&leader, k, FEW_STEPS, &pool[0]);
                 self.put_all((0..leader.parts.len()).into_par_iter().map(less).collect(), pool);
             }
         }
@@ -274,6 +274,9 @@ impl Ground<'_> {
         let near = best(pool).score - FAR_BEHIND;
         let clear = |i: &usize| pool[*i].score > near && pool[*i].weighed.variance < MOST_NOISE_LEFT * root;
         let mut clear: Vec<usize> = (1..pool.len()).filter(clear).collect();
+        let all = clear.clone();
+        let leads = |i: &usize| !all.iter().any(|less| pool[*less].is_worth_no_less_than(&pool[*i]));
+        clear.retain(leads);
         clear.sort_by(|a, b| pool[*b].score.total_cmp(&pool[*a].score));
         for at in clear.into_iter().take(TRIED) {
             let set = &pool[at];

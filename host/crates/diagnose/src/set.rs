@@ -62,6 +62,11 @@ impl Set {
         self.parts.iter().all(|p| other.parts.iter().any(|o| o.effect == p.effect))
     }
 
+    /// Whether it has fewer effects of the other set's and does no worse: one of those does nothing there.
+    pub fn is_worth_no_less_than(&self, other: &Self) -> bool {
+        self.parts.len() < other.parts.len() && self.score >= other.score && self.is_within(other)
+    }
+
     /// What the verdict has to know of it.
     pub fn visited(&self) -> Visited {
         Visited {
