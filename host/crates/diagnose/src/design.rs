@@ -370,28 +370,55 @@ mod tests {
         }
     }
 
+    /// How far a model's derivative is, as a share of itself, from the difference of two models that were simulated.
+    fn share_off(problem: &Problem, model: &Model, parameter: P, step: f64) -> f64 {
+        let column = Column::Scalar { parameter, scale: 1.0, step, shape: Vec::new() };
+        let found = problem.design(model, &[column]).remove(0);
+        let moved = |by: f64| {
+            let parameters = model.parameters.with(parameter, model.parameters.get(parameter) + by);
+            problem.residuals(&Model { parameters, terms: model.terms.clone() }).remove(0).predicted
+        };
+        let (more, less) = (moved(step), moved(-step));
+        let own: Vec<f64> = more.iter().zip(less).map(|(a, b)| (a - b) / (2.0 * step)).collect();
+        let square = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>();
+        let off = square(&mut own.iter().zip(&found.x).zip(&found.weight).map(|((own, x), weight)| own - x / weight));
+        (off / square(&mut own.iter().copied())).sqrt()
+    }
+
+    fn rotor() -> Parameters {
+        Parameters::new(3.6, 900.0, 600.0, 0.3, 0.02).with(P::WaveTime, 4e-4)
+    }
+
     /// Fails if a derivative beside a small rhythm is that of another drive, or one beside a large rhythm is taken without it.
     #[test]
     fn derivatives_beside_a_rhythm_are_those_of_the_run() {
         let problem = Problem::new(vec![run()]);
         for (rhythm, allowed) in [(0.08, 2.0 * 0.08), (0.4, 0.05)] {
-            let rotor = Parameters::new(3.6, 900.0, 600.0, 0.3, 0.02).with(P::WaveTime, 4e-4);
-            let mut model = problem.model(rotor);
+            let mut model = problem.model(rotor());
             model.terms[0].runout[0] = rhythm;
             for (parameter, step) in [(P::FreeSpeed, 0.01), (P::OffDeceleration, 2.0), (P::DeadDuty, 1e-3)] {
-                let column = Column::Scalar { parameter, scale: 1.0, step, shape: Vec::new() };
-                let found = problem.design(&model, &[column]).remove(0);
-                let moved = |by: f64| {
-                    let parameters = model.parameters.with(parameter, model.parameters.get(parameter) + by);
-                    problem.residuals(&Model { parameters, terms: model.terms.clone() }).remove(0).predicted
-                };
-                let (more, less) = (moved(step), moved(-step));
-                let own: Vec<f64> = more.iter().zip(less).map(|(a, b)| (a - b) / (2.0 * step)).collect();
-                let square = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>();
-                let off =
-                    square(&mut own.iter().zip(&found.x).zip(&found.weight).map(|((own, x), weight)| own - x / weight));
-                let share = (off / square(&mut own.iter().copied())).sqrt();
+                let share = share_off(&problem, &model, parameter, step);
                 assert!(share < allowed, "{parameter:?} beside {rhythm}: {share} of itself");
+            }
+        }
+    }
+
+    /// Fails if a derivative beside a small warmth is that of another motor, one beside a large warmth is taken without it, or what warmth changes
+    /// is moved from a cold motor.
+    #[test]
+    fn derivatives_beside_warmth_are_those_of_the_run() {
+        let problem = Problem::new(vec![run()]);
+        for (size, allowed) in [(0.08, 2.0 * 0.08), (0.4, 0.05)] {
+            for change in [P::HeatLoss, P::HeatFriction] {
+                let model = problem.model(rotor().with(change, size).with(P::HeatTau, 0.5));
+                for (parameter, step) in [(P::FreeSpeed, 0.01), (P::OffDeceleration, 2.0), (P::DeadDuty, 1e-3)] {
+                    let share = share_off(&problem, &model, parameter, step);
+                    assert!(share < allowed, "{parameter:?} beside {change:?} {size}: {share} of itself");
+                }
+                for (parameter, step) in [(change, 1e-3), (P::HeatTau, 1e-3)] {
+                    let share = share_off(&problem, &model, parameter, step);
+                    assert!(share < 0.05, "{parameter:?} of {change:?} {size}: {share} of itself");
+                }
             }
         }
     }
