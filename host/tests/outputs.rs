@@ -117,7 +117,7 @@ fn hidden(name: &str) -> bool {
 
 #[test]
 fn killed_at_any_moment_every_file_is_whole_or_absent() {
-    kills(48, 3);
+    kills(WRITERS.len(), 3);
 }
 
 /// `cargo test -p twum-host --test outputs -- --ignored --nocapture five_hundred`

@@ -26,7 +26,7 @@ fn frames(path: &Path) -> (u64, Ending) {
 #[cfg(unix)]
 #[test]
 fn killed_at_any_moment_it_is_readable_to_its_last_frame() {
-    killed_at_random_moments(30, 9);
+    killed_at_random_moments(15, 9);
 }
 
 /// `cargo test --release -p twum-host --test recording_survives -- --ignored --nocapture two_hundred`

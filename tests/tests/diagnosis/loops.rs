@@ -10,13 +10,23 @@ fn closed_loop(hidden: HiddenInLoop, seed: u64) -> Diagnosis {
     answer(folder.path())
 }
 
-/// The loop hides model errors in position and quantisation makes others: neither may get a name.
+fn nothing_is_named(seed: u64) {
+    let d = closed_loop(HiddenInLoop::default(), seed);
+    assert_eq!(d.verdict, Verdict::None, "seed {seed}: {:?}", d.suspected());
+}
+
+/// The loop hides model errors in position and quantisation makes others. Fails if either gets a name.
 #[test]
 fn a_sound_closed_loop_names_nothing() {
-    for seed in 31..=33 {
-        let d = closed_loop(HiddenInLoop::default(), seed);
-        assert_eq!(d.verdict, Verdict::None, "seed {seed}: {:?}", d.suspected());
-    }
+    nothing_is_named(31);
+}
+
+/// The same of two more.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_no_sound_closed_loop_names_anything() {
+    nothing_is_named(32);
+    nothing_is_named(33);
 }
 
 /// Fails if the controller is no longer held against its own law before the plant is blamed.

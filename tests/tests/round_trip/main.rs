@@ -283,16 +283,28 @@ fn other_forms_of_the_model_are_found() {
     }
 }
 
-/// Twice the typical size, at which most are beyond what a search may take for a wrong form. Fails if an effect acts in the motor model as it does not in the search, or is lost or changed when it is saved.
-#[test]
-fn what_the_model_simulates_is_found_and_saved() {
+/// Twice the typical size, at which most are beyond what a search may take for a wrong form.
+fn are_found_and_saved(cases: Vec<Case>) {
     let design = Design { duties: DUTIES, trials: 2, seconds: 1.5 };
-    let rows: Vec<Row> = cases().par_iter().map(|case| round_trip(case, 2.0, design)).collect();
+    let rows: Vec<Row> = cases.par_iter().map(|case| round_trip(case, 2.0, design)).collect();
     print(&rows);
     let excused = |r: &Row, missed: &str| r.known.is_some_and(|(kind, _)| missed.starts_with(kind));
     let new: Vec<_> =
         rows.iter().filter(|r| r.missed.iter().any(|missed| !excused(r, missed))).map(|r| r.name).collect();
     assert!(new.is_empty(), "{new:?}: see the table");
+}
+
+/// Fails if an effect acts in the motor model as it does not in the search, or is lost or changed when it is saved.
+#[test]
+fn what_the_model_simulates_is_found_and_saved() {
+    are_found_and_saved(cases().into_iter().filter(|case| case.known.is_none()).collect());
+}
+
+/// The same of those that are known to fall short in something: in that alone.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_falls_short_does_so_as_known() {
+    are_found_and_saved(cases().into_iter().filter(|case| case.known.is_some()).collect());
 }
 
 /// Three sizes of every effect, in the experiment of three trials of 2.5 s.
