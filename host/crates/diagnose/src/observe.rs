@@ -368,19 +368,47 @@ fn control(o: &mut Observed, run: &Run, rows: &[twum_record::measurement::Contro
     }
 }
 
-/// Keeps `each` repetitions of each kind of run.
-pub fn some_of_each(runs: &mut Vec<Observed>, each: usize) {
-    let mut seen: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
-    runs.retain(|r| {
-        let n = seen.entry(format!("{:?}/{:?}/{}/{}", r.kind, r.duty, r.direction, r.pwm_hz)).or_default();
-        *n += 1;
-        *n <= each
+/// Of which kind each run is, counted in the order of their first runs.
+fn kinds(runs: &[Observed]) -> Vec<usize> {
+    let mut seen: std::collections::HashMap<String, usize> = std::collections::HashMap::new();
+    let kind = |r: &Observed| {
+        let next = seen.len();
+        *seen.entry(format!("{:?}/{:?}/{}/{}", r.kind, r.duty, r.direction, r.pwm_hz)).or_insert(next)
+    };
+    runs.iter().map(kind).collect()
+}
+
+/// Keeps the first run of each kind.
+pub fn one_of_each(runs: &mut Vec<Observed>) {
+    spread(runs, 1, |_| 0);
+}
+
+/// Keeps `most` runs, or one of each kind where these are more: as many of each kind, evenly spread over its repetitions, and of one kind
+/// after the other's, so that what changes from run to run is seen in some early and some late.
+pub fn some_of_each(runs: &mut Vec<Observed>, most: usize) {
+    let kinds = kinds(runs).into_iter().max().map_or(1, |last| last + 1);
+    spread(runs, (most / kinds).max(1), |kind| kind);
+}
+
+/// Keeps `each` repetitions of each kind, evenly spread, from the one that `first` says on, counted round.
+fn spread(runs: &mut Vec<Observed>, each: usize, first: impl Fn(usize) -> usize) {
+    let kinds = kinds(runs);
+    let mut repetitions = vec![0; kinds.iter().max().map_or(0, |last| last + 1)];
+    kinds.iter().for_each(|kind| repetitions[*kind] += 1);
+    let mut seen = vec![0; repetitions.len()];
+    let mut kinds = kinds.into_iter();
+    runs.retain(|_| {
+        let kind = kinds.next().expect("each run has a kind");
+        let of = repetitions[kind];
+        let at = seen[kind];
+        seen[kind] += 1;
+        let kept = each.min(of);
+        (0..kept).any(|k| (first(kind) + k * of / kept) % of == at)
     });
 }
 
-/// The same, and the first `seconds` of each.
-pub fn thin(runs: &mut Vec<Observed>, each: usize, seconds: f64) {
-    some_of_each(runs, each);
+/// The first `seconds` of each run.
+pub fn shorten(runs: &mut [Observed], seconds: f64) {
     for r in runs {
         let keep = r.times.iter().take_while(|t| **t <= seconds).count().max(2);
         r.times.truncate(keep);
@@ -419,6 +447,27 @@ impl Observed {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Five repetitions of three duties, one after the other: fails if a kind is left out, if all that are kept were made early, or if more are kept
+    /// than were asked for.
+    #[test]
+    fn runs_are_kept_of_each_kind_early_and_late() {
+        let duties = [0.3, 0.6, 0.9];
+        let all = || -> Vec<Observed> {
+            let run =
+                |k: usize| Observed { duty: Some(duties[k % 3]), order: Some(k as u32), ..Observed::unrecorded() };
+            (0..15).map(run).collect()
+        };
+        let kept = |leave_out: &dyn Fn(&mut Vec<Observed>)| {
+            let mut runs = all();
+            leave_out(&mut runs);
+            runs.iter().filter_map(|r| r.order).collect::<Vec<u32>>()
+        };
+        assert_eq!(kept(&one_of_each), [0, 1, 2]);
+        assert_eq!(kept(&|runs| some_of_each(runs, 5)), [0, 4, 8]);
+        assert_eq!(kept(&|runs| some_of_each(runs, 6)), [0, 4, 6, 8, 10, 14]);
+        assert_eq!(kept(&|runs| some_of_each(runs, 99)), (0..15).collect::<Vec<u32>>());
+    }
 
     fn sampled(edge_ms: usize) -> Observed {
         let levels = (0..2000_usize).map(|k| (k / edge_ms).is_multiple_of(2)).collect();

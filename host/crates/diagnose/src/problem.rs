@@ -1,6 +1,6 @@
 //! The comparison itself: residuals of every window for given parameters, and their derivatives.
 
-use super::observe::{Observed, some_of_each, thin};
+use super::observe::{Observed, one_of_each, shorten};
 use super::rotor::{P, Parameters, RunInput, RunTerms, Trajectory, simulate, warm_up};
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -84,17 +84,20 @@ impl Problem {
 
     /// One repetition of each kind of run, the first seconds of each: enough to tell one kind of motor from another.
     pub fn thinned(&self) -> Self {
-        self.less(|runs| thin(runs, 1, FIRST_S))
+        self.less(|runs| {
+            one_of_each(runs);
+            shorten(runs, FIRST_S);
+        })
     }
 
     /// One repetition of each kind of run.
     pub fn one_of_each(&self) -> Self {
-        self.less(|runs| some_of_each(runs, 1))
+        self.less(one_of_each)
     }
 
-    fn less(&self, thin: fn(&mut Vec<Observed>)) -> Self {
+    fn less(&self, leave_out: fn(&mut Vec<Observed>)) -> Self {
         let mut runs = self.runs.clone();
-        thin(&mut runs);
+        leave_out(&mut runs);
         Self::new(runs).with(self.formulas.clone())
     }
 
