@@ -200,8 +200,13 @@ pub fn diagnose(
     };
     let mut outcome = diagnose_runs(&problem, &start, &settings, progress);
     if !outcome.alone.is_empty() {
+        let advice = if options.quick {
+            "--quick may have left out those that do"
+        } else {
+            "repeat it, or add a duty beside it"
+        };
         notes.push(format!(
-            "{}: no other run shows what the motor does there; fitted, but not scored on runs held out: repeat it, or add a duty beside it",
+            "{}: no other run shows what the motor does there; fitted, but not scored on runs held out: {advice}",
             outcome.alone.join(", ")
         ));
     }
