@@ -150,18 +150,20 @@ impl Level {
         let mut best = (value(&start), start);
         for factor in [2.5_f64, 1.6, 1.25] {
             for k in 0..5 {
-                let mut moved = true;
-                while moved {
-                    moved = false;
-                    for f in [factor, 1.0 / factor] {
+                for f in [factor, 1.0 / factor] {
+                    let before = best.0;
+                    loop {
                         let mut trial = best.1;
                         trial[k] = (trial[k] * f).clamp(1e-5, 1.0);
                         let v = value(&trial);
-                        if v > best.0 + 1e-3 {
-                            best = (v, trial);
-                            moved = true;
+                        if v <= best.0 + 1e-3 {
                             break;
                         }
+                        best = (v, trial);
+                    }
+                    // The other way lies what was there before.
+                    if best.0 > before {
+                        break;
                     }
                 }
             }

@@ -11,6 +11,7 @@ mod motion;
 mod parameters;
 mod schedule;
 mod simulate;
+mod warming;
 mod wave;
 
 pub use parameters::{HARMONICS, P, Parameters, RunTerms, placed};
@@ -57,6 +58,7 @@ pub fn effective_duty(duty: f64, p: &Parameters) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::simulate::period_by_period;
     use super::*;
     use std::sync::Arc;
     use twum_motor::hypothesis::{ActsOn, Hypothesis, Number, Role};
@@ -194,8 +196,9 @@ mod tests {
                     revolutions: 0.0,
                     formulas: &[],
                 };
-                let angles = |p: &Parameters| simulate(&input, p, &RunTerms::default()).angle;
-                for (a, b) in angles(&p).iter().zip(&angles(&p.with(P::HeatLoss, 1e-12))) {
+                let repeated = simulate(&input, &p, &RunTerms::default()).angle;
+                let each = period_by_period(&input, &p.with(P::HeatLoss, 1e-12), &RunTerms::default()).angle;
+                for (a, b) in repeated.iter().zip(&each) {
                     assert!((a - b).abs() < 1e-4, "{a} {b}");
                 }
             }

@@ -54,6 +54,12 @@ impl Schedule {
         inside.map(|switched| overlap(switched + after_s)).sum::<f64>() / (to - from).max(1e-9)
     }
 
+    /// The duty of all periods, where they have one and the direction stays.
+    pub fn only_duty(&self) -> Option<f64> {
+        let first = self.periods.first().filter(|_| self.directions.len() <= 1)?.duty;
+        self.periods.iter().all(|period| period.duty == first).then_some(first)
+    }
+
     /// Total time with drive on, in s, up to `until`.
     pub fn drive_time(&self) -> f64 {
         self.periods.iter().map(|p| (p.end - p.start) * p.duty).sum()

@@ -2,8 +2,9 @@
 
 use super::motion::{Piece, Pull, off_piece, on_piece};
 use super::parameters::{harmonics, placed};
+use super::warming::Warming;
 use super::wave::Wave;
-use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay};
+use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay, warm_up};
 use std::sync::Arc;
 use twum_motor::hypothesis::{ActsOn, Hypothesis, MOST_NUMBERS, Now};
 
@@ -26,6 +27,15 @@ pub struct RunInput<'a> {
     pub revolutions: f64,
     /// Effects that are formulas; their numbers are among the parameters.
     pub formulas: &'a [Arc<Hypothesis>],
+}
+
+impl RunInput<'_> {
+    /// The time of the drive at which something was recorded, in s.
+    fn driven_s(&self, recorded_s: f64, p: &Parameters) -> f64 {
+        let since = recorded_s - p.get(P::Latency);
+        // t_recorded = (1 + ε + drift·t/2)·t, solved to first order in the drift.
+        since / (1.0 + p.get(P::ClockError) + 0.5 * p.get(P::ClockDrift) * since)
+    }
 }
 
 /// Longest steps in s: of anything, and of what hangs on the angle.
@@ -88,10 +98,19 @@ pub struct Trajectory {
 /// the two with equal probability: what a measured time stands for is their mean, not the angle in the middle of the period. The
 /// two differ wherever the rotor starts or stops, thousands of times a run.
 pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms) -> Trajectory {
-    let mut s = Simulation::new(input, p, terms);
-    s.periods();
-    s.coast();
-    s.finish()
+    let simulation = || Simulation::new(input, p, terms);
+    match Warming::of(input, p).filter(|_| simulation().is_steady()) {
+        Some(warming) => {
+            let at = |warmth: f64| Simulation { held: true, warmth, ..simulation() }.run();
+            warming.between(input.times.iter().map(|t| input.driven_s(*t, p)), &warming.ends().map(at))
+        }
+        None => period_by_period(input, p, terms),
+    }
+}
+
+/// The same, period by period where the motor warms.
+pub(super) fn period_by_period(input: &RunInput, p: &Parameters, terms: &RunTerms) -> Trajectory {
+    Simulation::new(input, p, terms).run()
 }
 
 struct Simulation<'a> {
@@ -116,6 +135,8 @@ struct Simulation<'a> {
     angle: f64,
     speed: f64,
     warmth: f64,
+    /// Whether it stays as warm as it is.
+    held: bool,
     sagged: f64,
     on_time: f64,
     measured: usize,
@@ -131,10 +152,7 @@ struct Simulation<'a> {
 
 impl<'a> Simulation<'a> {
     fn new(input: &'a RunInput, p: &'a Parameters, terms: &'a RunTerms) -> Self {
-        let clock = 1.0 + p.get(P::ClockError);
-        let (latency, drift) = (p.get(P::Latency), p.get(P::ClockDrift));
-        // t_recorded = (1 + ε + drift·t/2)·t, solved to first order in the drift.
-        let driven = |t: f64| (t - latency) / (clock + 0.5 * drift * (t - latency));
+        let driven = |t: f64| input.driven_s(t, p);
         let half = input.half_sample_s;
         // Asked for on both sides of every time; put together at the end.
         let asked: Vec<f64> = if half > 0.0 {
@@ -165,6 +183,7 @@ impl<'a> Simulation<'a> {
             angle: 0.0,
             speed: 0.0,
             warmth: input.warmth,
+            held: !p.warms(),
             sagged: 0.0,
             on_time: 0.0,
             measured: 0,
@@ -176,17 +195,27 @@ impl<'a> Simulation<'a> {
         }
     }
 
+    fn run(mut self) -> Trajectory {
+        self.periods();
+        self.coast();
+        self.finish()
+    }
+
     fn done(&self) -> bool {
         self.next >= self.asked.len()
+    }
+
+    /// Whether nothing changes with the angle, or as a formula says.
+    fn is_steady(&self) -> bool {
+        !self.has_angle && self.formulas.iter().all(|f| f.0.is_steady())
     }
 
     /// Whether a period may repeat the one before it: nothing changes slowly or with the angle.
     fn can_repeat(&self) -> bool {
         let settle = self.p.get(P::SettleExcess);
         let since = if self.p.get(P::SettleOnTime) > 0.5 { self.on_time } else { self.t };
-        !self.has_angle
-            && self.formulas.iter().all(|f| f.0.is_steady())
-            && !self.p.warms()
+        self.is_steady()
+            && self.held
             && self.input.schedule.directions.len() <= 1
             && (settle == 0.0 || since > SETTLED * self.p.get(P::SettleTau))
     }
@@ -215,12 +244,17 @@ impl<'a> Simulation<'a> {
             let still = now.iter().zip(before).all(|(now, before)| (now - before).abs() <= REPEATS);
             before = now;
             self.record = (repeats && still).then(Record::default);
+            let half = 0.5 * (period.end - period.start);
+            self.warm(period.duty, half);
             self.period(period.start, period.end, period.duty);
-            if self.p.warms() {
-                let duty = effective_duty(period.duty, self.p);
-                let tau = self.p.get(P::HeatTau).max(1e-3);
-                self.warmth = duty + (self.warmth - duty) * (-(period.end - period.start) / tau).exp();
-            }
+            self.warm(period.duty, half);
+        }
+    }
+
+    /// Warms, or cools, for some time at a duty; over a period the motor is as warm as in its middle.
+    fn warm(&mut self, duty: f64, seconds: f64) {
+        if !self.held {
+            self.warmth = warm_up(self.warmth, effective_duty(duty, self.p), seconds, self.p.get(P::HeatTau));
         }
     }
 
