@@ -71,6 +71,11 @@ impl Equations {
         self.runs.iter().map(|r| r.g[(0, 0)]).collect()
     }
 
+    /// What is `left` of the squared error and what is believed to be error of the forms and of any equation, in rpm²·s; `without` effects that much was left.
+    fn error(&self, left: f64, without: f64) -> f64 {
+        (1.0 - FORM_ERROR) * left + FORM_ERROR * without.max(left) + self.floor()
+    }
+
     /// Squared error in rpm²·s that is none: what any equation misses of the speeds.
     pub fn floor(&self) -> f64 {
         MODEL_FLOOR * MODEL_FLOOR * self.squared_speeds().iter().sum::<f64>()
@@ -227,6 +232,32 @@ fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) 
     out
 }
 
+/// Standard deviation of coefficients that may be as large as they like: whole speeds.
+const AS_LARGE_AS_IT_LIKES: f64 = 1.0;
+
+/// By how much the log evidence could rise at most, were a question that was weighed (`now`) asked with more terms: these cost nothing of what they
+/// take of the squared error. An integral over each of them takes a whole round of weighing after the other.
+pub fn promise(equations: &Equations, level: &Level, [q, more]: [&Question; 2], now: &Weighed, without: f64) -> f64 {
+    let covariance = level.covariance(&now.taus);
+    let mut wide = more.clone();
+    wide.common[q.common.len()..].iter_mut().for_each(|c| c.1 = AS_LARGE_AS_IT_LIKES);
+    let quadratic = |q: &Question| {
+        let groups = q.own.iter().map(|o| o.1 + 1).max().unwrap_or(0);
+        let mut powers = now.powers.clone();
+        powers.resize(groups, AS_LARGE_AS_IT_LIKES * AS_LARGE_AS_IT_LIKES);
+        let runs = equations.runs.iter().enumerate();
+        let reduced: Vec<Reduced> = runs.map(|(i, run)| reduce(run, i, q, &powers, now.variance)).collect();
+        let together = Together::new(reduced.iter().map(|r| &r.said), q.shared_count());
+        join(&together, &covariance).map(|joint| reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained)
+    };
+    let (Some(before), Some(after)) = (quadratic(q), quadratic(&wide)) else { return f64::INFINITY };
+    let left = (now.left - (before - after) * now.variance).max(0.0);
+    let shrunk = equations.error(left, without) / equations.error(now.left, without);
+    // With the variance the quadratic form rises, and what is left is a part of it.
+    let after = after.max(left / (now.variance * shrunk));
+    0.5 * (before - after) - 0.5 * equations.independent * shrunk.ln()
+}
+
 /// Integrates everything that is linear.
 pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) -> Option<Weighed> {
     let groups = q.own.iter().map(|o| o.1 + 1).max().unwrap_or(0);
@@ -276,7 +307,7 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
         if last {
             break;
         }
-        let error = (1.0 - FORM_ERROR) * left + FORM_ERROR * start.without.max(left) + equations.floor();
+        let error = equations.error(left, start.without);
         let next = (error / (independent - freedom).max(0.25 * independent)).max(1e-12);
         let mut moved = (next / variance).ln().abs();
         variance = next;
@@ -321,6 +352,26 @@ mod tests {
             weigh(&equations(0.0, 0.3), &level, &q, &start).expect("it can be solved").left
         };
         assert!(left([0, 1, 0, 1]) < 0.5 * left([0, 0, 1, 1]));
+    }
+
+    /// Fails if more is promised to chance than a term costs (10 nats), or less to a slope than it brings, shared or each run's own: it would be left
+    /// out unweighed.
+    #[test]
+    fn what_is_promised_is_no_less_than_what_comes() {
+        let level = Level::by_chance(4, 0.01);
+        for (slope, own) in [(0.0, false), (0.0, true), (0.1, false), (0.3, false), (0.3, true)] {
+            let equations = equations(0.0, slope);
+            let start = Start { variance: 1.0, taus: level.believed(), without: 0.0, spreads: Spreads::Stay };
+            let q = Question::default();
+            let more = match own {
+                true => Question { own: vec![(1, 0)], ..q.clone() },
+                false => Question { common: vec![(1, 0.1)], ..q.clone() },
+            };
+            let [now, with] = [&q, &more].map(|q| weigh(&equations, &level, q, &start).expect("it can be solved"));
+            let promised = promise(&equations, &level, [&q, &more], &now, 0.0);
+            assert!(promised >= with.log - now.log, "{slope} {own}: {promised} for {}", with.log - now.log);
+            assert!(slope > 0.0 || promised < 10.0, "chance: {promised}");
+        }
     }
 
     /// Fails if a gain that differs between runs counts as a course of theirs, if chance does, or if a course is missed.

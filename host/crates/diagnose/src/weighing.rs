@@ -4,7 +4,7 @@ use super::amplitude::of_one_amplitude;
 use super::baseline::first_noise;
 use super::design::{Basis, Column};
 use super::discrepancy::{FREE_FORM_COST, SIZE, TERM_COST, Term};
-use super::evidence::{Equations, Question, Spreads, Start, Weighed, weigh};
+use super::evidence::{Equations, Question, Spreads, Start, Weighed, promise, weigh};
 use super::ground::Ground;
 use super::level::Level;
 use super::library::Phased;
@@ -166,8 +166,8 @@ struct Beside {
 }
 
 impl Scale<'_> {
-    /// Weighs the set with some of the terms.
-    fn ask(&self, terms: &[usize], start: &Start, level: &Level) -> Option<Weighed> {
+    /// What is asked of the set with some of the terms.
+    fn question(&self, terms: &[usize]) -> Question {
         let mut q = self.base.clone();
         for t in terms {
             if self.ground.terms[*t].own {
@@ -180,7 +180,12 @@ impl Scale<'_> {
                 q.common.extend(self.at[*t].clone().map(|c| (c, sd)));
             }
         }
-        weigh(&self.equations, level, &q, start)
+        q
+    }
+
+    /// Weighs the set with some of the terms.
+    fn ask(&self, terms: &[usize], start: &Start, level: &Level) -> Option<Weighed> {
+        weigh(&self.equations, level, &self.question(terms), start)
     }
 
     /// The terms that the data ask for, one after the other, at the spreads that the gains have without them.
@@ -188,25 +193,30 @@ impl Scale<'_> {
         let without = without.max(weighed.left);
         let near = Start { variance: weighed.variance, taus: weighed.taus, without, spreads: Spreads::Stay };
         let mut chosen: Vec<usize> = Vec::new();
+        let mut now = weighed.clone();
         let mut best = weighed.log;
         let mut left = Vec::new();
         for _ in 0..2 {
-            let looks: Vec<(usize, f64, f64)> = (0..self.ground.terms.len())
-                .into_par_iter()
-                .filter(|t| !chosen.contains(t))
-                .filter_map(|t| {
-                    let more = [chosen.clone(), vec![t]].concat();
-                    self.ask(&more, &near, &self.ground.level).map(|w| (t, w.log - self.ground.term_cost(t), w.left))
-                })
-                .collect();
-            let Some((t, log, rest)) = looks.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
             let cost: f64 = chosen.iter().map(|c| self.ground.term_cost(*c)).sum();
-            if log - cost <= best {
+            let before = self.question(&chosen);
+            let look = |t: usize| {
+                let more = self.question(&[chosen.as_slice(), &[t]].concat());
+                let level = &self.ground.level;
+                let worth_it =
+                    promise(&self.equations, level, [&before, &more], &now, without) > self.ground.term_cost(t);
+                let weighed = worth_it.then(|| weigh(&self.equations, level, &more, &near)).flatten()?;
+                Some((t, weighed.log - cost - self.ground.term_cost(t), weighed))
+            };
+            let open = (0..self.ground.terms.len()).into_par_iter().filter(|t| !chosen.contains(t));
+            let looks: Vec<(usize, f64, Weighed)> = open.filter_map(look).collect();
+            let Some((t, log, with)) = looks.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+            if log <= best {
                 break;
             }
-            best = log - cost;
+            best = log;
             chosen.push(t);
-            left.push((self.ground.terms[t].lives_in, rest));
+            left.push((self.ground.terms[t].lives_in, with.left));
+            now = with;
         }
         Beside { log: best, left, courses: self.courses() }
     }

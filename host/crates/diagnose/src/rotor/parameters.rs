@@ -238,9 +238,6 @@ impl P {
         P::FlatTop,
     ];
 
-    /// Those of what changes with warmth.
-    pub const OF_THE_WARMTH: [P; 4] = [P::HeatLoss, P::HeatFriction, P::HeatTau, P::HeatCarry];
-
     /// The numbers of the effects that are formulas, the last of all: four of four numbers each, or more with fewer.
     pub const FORMULA: &'static [P] = Self::ALL.split_at(P::Formula0 as usize).1;
 }
