@@ -296,3 +296,19 @@ fn thorough_one_of_two_that_helps_where_it_was_not_fitted_is_enough() {
 fn thorough_a_small_asymmetry_is_found_beside_a_wrong_clock() {
     both_are_found("e", 337, ["direction-asymmetry", "clock-error"]);
 }
+
+/// Fails if a set is left in the pool as it was weighed where the model was not refitted to the end: a settling with a term over the slots then led by 11
+/// nats that it has not.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_a_refit_does_not_keep_leads_nowhere() {
+    both_are_found("e", 482, ["unequal-edges", "frequency-settling"]);
+}
+
+/// Fails if the motor is looked for anew only beside effects that halve the noise: the dead zone was then behind what lives after the switchings.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_dead_zone_is_found_beside_which_the_motor_is_another() {
+    let d = of_a_case("e", Kind::Single, 484);
+    assert!(d.suspected().contains(&"dead-zone"), "{:?}", d.suspected());
+}

@@ -82,7 +82,7 @@ pub(super) fn join<'a>(together: &'a Together, covariance: &'a DMatrix<f64>) -> 
     let through_prior = covariance * said;
     let half = of_gains.l_dirty().solve_lower_triangular(&together.scaled(through_prior.clone()))?;
     // What the runs say of their gains and H, both sides of V.
-    let around = said.tr_mul(&through_prior) - half.tr_mul(&half);
+    let around = said.transpose() * &through_prior - half.transpose() * &half;
     let b = b - around.view((1, 0), (shared, 1));
     let of_common = (g - around.view((1, 1), (shared, shared))).cholesky()?;
     let common = of_common.solve(&b);

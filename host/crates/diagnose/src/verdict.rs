@@ -198,11 +198,11 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
     let causes: Vec<usize> = named.iter().chain(one_of.iter().flatten()).copied().collect();
     let best = sets.iter().find(|s| of_course.iter().any(|e| s.key == [*e])).unwrap_or(&sets[0]);
     let mut lives_in = left_without_cause(best, root, &causes, background);
-    if causes.is_empty() && lives_in.is_empty() {
-        // What the best set explains is not explained where nothing of it is said.
-        let spreads = beyond_belief(root);
+    let spreads = beyond_belief(root);
+    if causes.is_empty() && best.terms.is_empty() && beyond_belief(best).is_empty() && !spreads.is_empty() {
+        // What the best set explains is not explained where nothing of it is said, and is more than courses of single runs.
         let all = spreads.iter().map(|s| s.1).sum::<f64>().max(f64::MIN_POSITIVE);
-        lives_in.extend(spreads.into_iter().map(|(name, square)| (name, square / all)));
+        lives_in = spreads.into_iter().map(|(name, square)| (name, square / all)).collect();
     }
     let beside: f64 = lives_in.iter().map(|l| l.1).sum();
     // A cause that makes the runs differ by more than they did is none.
@@ -417,17 +417,20 @@ mod tests {
         assert_eq!((of(0.4, 0.02).one_of, of(0.4, 0.02).lives_in), (vec![], vec![("time", 0.4)]));
     }
 
-    /// Fails if nothing is said of motors whose runs differ by what is not believed, because a set that is not certain explains it.
+    /// Fails if nothing is said of motors whose runs differ by what is not believed, because a set that is not certain explains it, or beside it runs
+    /// have courses of their own.
     #[test]
     fn what_no_set_says_is_left_over() {
-        let lives_in = |lead: f64| {
+        let lives_in = |lead: f64, course: f64| {
             let [mut uncertain, mut root] = [set(&[0], lead, 9.0), set(&[], 0.0, 9.0)];
             uncertain.scattered[1] = 10.0;
+            uncertain.courses = vec![Course { lives_in: "time, each run its own", taken: 9.0 * course, share: course }];
             (root.taus[1], root.belief[1], root.scattered[1]) = (0.06, -2.0 * LARGEST_SPREAD, 40.0);
             judged(&[uncertain, root]).lives_in.iter().map(|l| l.0).collect::<Vec<_>>()
         };
-        assert_eq!(lives_in(1.0), ["duty"]);
-        assert!(lives_in(20.0).is_empty());
+        assert_eq!(lives_in(1.0, 0.0), ["duty"]);
+        assert_eq!(lives_in(1.0, 1.1 * MOST_OF_A_COURSE), ["duty"]);
+        assert!(lives_in(20.0, 0.0).is_empty());
     }
 
     /// Fails if a cause that takes most of what the runs differ by falls for a spread that only shows beside it, or one stands that makes them
