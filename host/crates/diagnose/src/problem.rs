@@ -101,6 +101,15 @@ impl Problem {
         Self::new(runs).with(self.formulas.clone())
     }
 
+    /// A model with what belongs to those of its runs that are also in `few`.
+    pub fn of_the_runs_of(&self, few: &Self, model: &Model) -> Model {
+        let terms_of = |run: &Observed| {
+            self.runs.iter().position(|own| own.id == run.id && own.order == run.order).map(|i| model.terms[i])
+        };
+        let terms = few.runs.iter().map(|run| terms_of(run).unwrap_or_default()).collect();
+        Model { parameters: model.parameters.clone(), terms }
+    }
+
     /// How many windows are compared.
     pub fn windows(&self) -> f64 {
         self.runs.iter().map(|r| r.windows.len() as f64).sum()
@@ -256,5 +265,22 @@ impl Problem {
         }
         let wheel = |k: usize| if eccentric { terms.encoder_error(run.angles[k]) } else { 0.0 };
         angle.iter().enumerate().map(|(k, a)| a + offset * f64::from(run.level[k]) + wheel(k)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Fails if a run goes with what belongs to another, also where two folders call their runs the same.
+    #[test]
+    fn each_run_keeps_what_belongs_to_it() {
+        let run = |order: u32| Observed { id: "run".to_owned(), order: Some(order), ..Observed::unrecorded() };
+        let problem = Problem::new((0..3).map(run).collect());
+        let mut model = problem.model(Parameters::new(3.6, 1900.0, 1900.0, 0.3, 0.02));
+        (0..3).for_each(|k| model.terms[k].runout[0] = k as f64);
+        let few = Problem::new(vec![run(2), run(1)]);
+        let own = problem.of_the_runs_of(&few, &model).terms;
+        assert_eq!(own.iter().map(|t| t.runout[0]).collect::<Vec<_>>(), [2.0, 1.0]);
     }
 }

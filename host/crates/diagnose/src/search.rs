@@ -30,8 +30,8 @@ const SWAPS: usize = 2;
 /// Share of the root's noise below which its baseline is doubted: a fifth of what it was chosen by was none. At a half, a dead zone beside which
 /// another rotor leaves half as much again less stayed 38 nats behind (E, single 484).
 const MOST_NOISE_LEFT: f64 = 0.8;
-/// Other rotors that are refitted for a few steps.
-const LOOKED_AT: usize = 3;
+/// How many other rotors are refitted to a few of the runs beside a set, and for how many steps: each one a little, the best of these further.
+const LOOKS: [(usize, usize); 2] = [(usize::MAX, 1), (TRIED, FEW_STEPS)];
 /// Most sets that are refitted to the end, and for how many steps.
 const FINISHED: usize = 8;
 const LAST_STEPS: usize = 24;
@@ -283,17 +283,24 @@ impl Ground<'_> {
         let leads = |i: &usize| !all.iter().any(|less| pool[*less].is_worth_no_less_than(&pool[*i]));
         clear.retain(leads);
         clear.sort_by(|a, b| pool[*b].score.total_cmp(&pool[*a].score));
+        let few = self.problem.thinned();
         for at in clear.into_iter().take(TRIED) {
             let set = &pool[at];
             let noise = self.noise(set);
-            let value = |m: &Model| self.misfit(m, &set.parts, noise);
-            let others = valleys(self.problem, &self.home, &set.model).into_par_iter().skip(1);
-            let mut others: Vec<(f64, Model)> = others.map(|m| (value(&m), m)).collect();
-            others.sort_by(|a, b| a.0.total_cmp(&b.0));
-            others.truncate(LOOKED_AT);
-            let near = others.into_par_iter().map(|(_, m)| self.refitted(m, &set.parts, noise, FEW_STEPS));
-            let near: Vec<Model> = near.collect();
-            let Some(best) = near.into_iter().min_by(|a, b| value(a).total_cmp(&value(b))) else { continue };
+            let (ground, noise_of_few) = self.of_some_runs(&few, noise);
+            let sorted = |models: Vec<Model>| {
+                let value = |m: Model| (ground.misfit(&m, &set.parts, noise_of_few), m);
+                let mut valued: Vec<(f64, Model)> = models.into_par_iter().map(value).collect();
+                valued.sort_by(|a, b| a.0.total_cmp(&b.0));
+                valued.into_iter().map(|(_, m)| m)
+            };
+            let mut others = valleys(&few, &self.home, &self.problem.of_the_runs_of(&few, &set.model)).split_off(1);
+            for (count, steps) in LOOKS {
+                let looked = sorted(others).take(count).collect::<Vec<_>>().into_par_iter();
+                others = looked.map(|m| ground.refitted(m, &set.parts, noise_of_few, steps)).collect();
+            }
+            let Some(best) = sorted(others).next() else { continue };
+            let best = Model { parameters: best.parameters, terms: set.model.terms.clone() };
             let model = self.refitted(best, &set.parts, noise, 8);
             let again = self.weigh_set(set.parts.clone(), model, Some(&pool[0]));
             if again.score > pool[at].score {

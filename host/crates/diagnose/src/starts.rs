@@ -102,7 +102,7 @@ impl Ground<'_> {
     }
 
     /// The same for some of the runs, and the noise beside which as much of the data says as many nats.
-    fn of_some_runs<'a>(&'a self, few: &'a Problem, noise: Noise) -> (Ground<'a>, Noise) {
+    pub(super) fn of_some_runs<'a>(&'a self, few: &'a Problem, noise: Noise) -> (Ground<'a>, Noise) {
         let ground = Ground::new(few, self.home.clone(), self.effects, self.usable.clone());
         let share = few.windows() / self.problem.windows() * self.independent / ground.independent;
         (ground, Noise { variance: noise.variance * share, ..noise })
