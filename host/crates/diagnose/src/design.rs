@@ -96,6 +96,7 @@ struct Linearised<'a> {
     problem: &'a Problem,
     model: &'a Model,
     columns: &'a [Column],
+    /// Warmth that each run starts with.
     warmth: Vec<f64>,
     /// The parameters that each scalar column moves.
     moved: Vec<Option<Moved>>,

@@ -71,7 +71,8 @@ impl Equations {
         self.runs.iter().map(|r| r.g[(0, 0)]).collect()
     }
 
-    /// What is `left` of the squared error and what is believed to be error of the forms and of any equation, in rpm²·s; `without` effects that much was left.
+    /// What is `left` of the squared error, with what is believed to be error of the forms and of any equation, in rpm²·s; so much was left `without`
+    /// effects.
     fn error(&self, left: f64, without: f64) -> f64 {
         (1.0 - FORM_ERROR) * left + FORM_ERROR * without.max(left) + self.floor()
     }
@@ -235,8 +236,8 @@ fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) 
 /// Standard deviation of coefficients that may be as large as they like: whole speeds.
 const AS_LARGE_AS_IT_LIKES: f64 = 1.0;
 
-/// By how much the log evidence could rise at most, were a question that was weighed (`now`) asked with more terms: these cost nothing of what they
-/// take of the squared error. An integral over each of them takes a whole round of weighing after the other.
+/// By how much the log evidence could rise at most, were the first of two questions, which was weighed (`now`), asked with the terms that the second
+/// has more: here what they take of the squared error costs nothing. It takes one round, where weighing takes up to six.
 pub fn promise(equations: &Equations, level: &Level, [q, more]: [&Question; 2], now: &Weighed, without: f64) -> f64 {
     let covariance = level.covariance(&now.taus);
     let mut wide = more.clone();

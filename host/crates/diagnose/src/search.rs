@@ -27,14 +27,15 @@ pub(super) const TRIED: usize = 4;
 const IN_VAIN: usize = 2;
 /// Times that the search goes on from another set that leads once rivals were put in the places of the best one's effects.
 const SWAPS: usize = 2;
-/// Share of the root's noise below which its baseline is doubted: a fifth of what it was chosen by was none. At a half, a dead zone beside which
-/// another rotor leaves half as much again less stayed 38 nats behind (E, single 484).
+/// Share of the root's noise below which its baseline is doubted: a fifth of what it was chosen by was none.
 const MOST_NOISE_LEFT: f64 = 0.8;
 /// How many other rotors are refitted to a few of the runs beside a set, and for how many steps: each one a little, the best of these further.
 const LOOKS: [(usize, usize); 2] = [(usize::MAX, 1), (TRIED, FEW_STEPS)];
 /// Most sets that are refitted to the end, and for how many steps.
 const FINISHED: usize = 8;
 const LAST_STEPS: usize = 24;
+/// Nats that the last refit of a set may lose: its least error, beside the priors, lies a little off the greatest evidence.
+const NOT_KEPT: f64 = 1.0;
 /// Share of the error of form that was counted below which all sets are weighed anew: a tenth less is as many nats as an effect may be behind.
 const LEAST_SHRUNK: f64 = 0.9;
 /// Steps of a first look: beside an effect of a given size, from another rotor, without an effect.
@@ -154,7 +155,8 @@ impl Ground<'_> {
             let model = self.refitted(next.model.clone(), &next.parts, self.noise(&next), LAST_STEPS);
             let finished = self.weigh_beside(next.parts, model, &pool[0]);
             // Also where it is worse: what the equations promise around a model that is not refitted to the end may not be kept.
-            if let Some(set) = pool.iter_mut().find(|s| s.key() == finished.key()) {
+            let counts = |s: &Set| finished.score > s.score || finished.score < s.score - NOT_KEPT;
+            if let Some(set) = pool.iter_mut().find(|s| s.key() == finished.key() && counts(s)) {
                 *set = Set { expanded: set.expanded, ..finished };
             }
             let leader = best(pool).clone();
@@ -273,7 +275,7 @@ impl Ground<'_> {
         }
     }
 
-    /// Baselines anew beside effects that take most of the error away: the noise that they made before hid which rotor it is.
+    /// Baselines anew, from every rotor, beside effects that take much of the noise away: what they made before hid which rotor it is.
     fn reseat_beside(&self, pool: &mut [Set]) {
         let root = pool[0].weighed.variance;
         let near = best(pool).score - FAR_BEHIND;
@@ -299,9 +301,8 @@ impl Ground<'_> {
                 let looked = sorted(others).take(count).collect::<Vec<_>>().into_par_iter();
                 others = looked.map(|m| ground.refitted(m, &set.parts, noise_of_few, steps)).collect();
             }
-            let Some(best) = sorted(others).next() else { continue };
-            let best = Model { parameters: best.parameters, terms: set.model.terms.clone() };
-            let model = self.refitted(best, &set.parts, noise, 8);
+            let Some(Model { parameters, .. }) = sorted(others).next() else { continue };
+            let model = self.refitted(Model { parameters, ..set.model.clone() }, &set.parts, noise, 8);
             let again = self.weigh_set(set.parts.clone(), model, Some(&pool[0]));
             if again.score > pool[at].score {
                 pool[at] = again;

@@ -17,7 +17,8 @@ pub(super) struct Warming {
 impl Warming {
     /// Of a run that is driven at one duty and warms; `None` of any other.
     pub(super) fn of(input: &RunInput, p: &Parameters) -> Option<Self> {
-        let duty = input.schedule.only_duty().filter(|_| p.warms() && input.drive_end > 0.0)?;
+        let warms = p.warms() && input.drive_end > 0.0;
+        let duty = warms.then(|| input.schedule.only_duty()).flatten()?;
         let tau_s = p.get(P::HeatTau).max(1e-3);
         let to = super::warm_up(input.warmth, effective_duty(duty, p), input.drive_end, tau_s);
         Some(Self { from: input.warmth, to, tau_s, drive_end: input.drive_end })
