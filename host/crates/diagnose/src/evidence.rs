@@ -236,27 +236,49 @@ fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) 
 /// Standard deviation of coefficients that may be as large as they like: whole speeds.
 const AS_LARGE_AS_IT_LIKES: f64 = 1.0;
 
-/// By how much the log evidence could rise at most, were the first of two questions, which was weighed (`now`), asked with the terms that the second
-/// has more: here what they take of the squared error costs nothing. It takes one round, where weighing takes up to six.
-pub fn promise(equations: &Equations, level: &Level, [q, more]: [&Question; 2], now: &Weighed, without: f64) -> f64 {
-    let covariance = level.covariance(&now.taus);
-    let mut wide = more.clone();
-    wide.common[q.common.len()..].iter_mut().for_each(|c| c.1 = AS_LARGE_AS_IT_LIKES);
-    let quadratic = |q: &Question| {
+/// What more terms could bring at most to a question that was weighed: here what they take of the squared error costs nothing. It takes one round,
+/// where weighing takes up to six.
+pub struct Promise<'a> {
+    equations: &'a Equations,
+    covariance: DMatrix<f64>,
+    asked: &'a Question,
+    now: &'a Weighed,
+    /// Squared error without effects, in rpm²·s.
+    without: f64,
+    /// What the question leaves, in units of the variance; none where it has no solution.
+    before: Option<f64>,
+}
+
+impl<'a> Promise<'a> {
+    /// Beside the question `asked`, weighed as `now`.
+    pub fn new(equations: &'a Equations, level: &Level, asked: &'a Question, now: &'a Weighed, without: f64) -> Self {
+        let mut all = Self { equations, covariance: level.covariance(&now.taus), asked, now, without, before: None };
+        all.before = all.quadratic(asked);
+        all
+    }
+
+    fn quadratic(&self, q: &Question) -> Option<f64> {
         let groups = q.own.iter().map(|o| o.1 + 1).max().unwrap_or(0);
-        let mut powers = now.powers.clone();
+        let mut powers = self.now.powers.clone();
         powers.resize(groups, AS_LARGE_AS_IT_LIKES * AS_LARGE_AS_IT_LIKES);
-        let runs = equations.runs.iter().enumerate();
-        let reduced: Vec<Reduced> = runs.map(|(i, run)| reduce(run, i, q, &powers, now.variance)).collect();
+        let runs = self.equations.runs.iter().enumerate();
+        let reduced: Vec<Reduced> = runs.map(|(i, run)| reduce(run, i, q, &powers, self.now.variance)).collect();
         let together = Together::new(reduced.iter().map(|r| &r.said), q.shared_count());
-        join(&together, &covariance).map(|joint| reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained)
-    };
-    let (Some(before), Some(after)) = (quadratic(q), quadratic(&wide)) else { return f64::INFINITY };
-    let left = (now.left - (before - after) * now.variance).max(0.0);
-    let shrunk = equations.error(left, without) / equations.error(now.left, without);
-    // With the variance the quadratic form rises, and what is left is a part of it.
-    let after = after.max(left / (now.variance * shrunk));
-    0.5 * (before - after) - 0.5 * equations.independent * shrunk.ln()
+        join(&together, &self.covariance).map(|joint| reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained)
+    }
+
+    /// By how much the log evidence could rise at most, were it asked with the terms that `more` has besides.
+    pub fn of(&self, more: &Question) -> f64 {
+        let Self { equations, now, .. } = self;
+        let mut wide = more.clone();
+        wide.common[self.asked.common.len()..].iter_mut().for_each(|c| c.1 = AS_LARGE_AS_IT_LIKES);
+        let (Some(before), Some(after)) = (self.before, self.quadratic(&wide)) else { return f64::INFINITY };
+        let left = (now.left - (before - after) * now.variance).max(0.0);
+        let shrunk = equations.error(left, self.without) / equations.error(now.left, self.without);
+        // With the variance the quadratic form rises, and what is left is a part of it.
+        let after = after.max(left / (now.variance * shrunk));
+        0.5 * (before - after) - 0.5 * equations.independent * shrunk.ln()
+    }
 }
 
 /// Integrates everything that is linear.
@@ -369,7 +391,7 @@ mod tests {
                 false => Question { common: vec![(1, 0.1)], ..q.clone() },
             };
             let [now, with] = [&q, &more].map(|q| weigh(&equations, &level, q, &start).expect("it can be solved"));
-            let promised = promise(&equations, &level, [&q, &more], &now, 0.0);
+            let promised = Promise::new(&equations, &level, &q, &now, 0.0).of(&more);
             assert!(promised >= with.log - now.log, "{slope} {own}: {promised} for {}", with.log - now.log);
             assert!(slope > 0.0 || promised < 10.0, "chance: {promised}");
         }

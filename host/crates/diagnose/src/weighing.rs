@@ -4,9 +4,8 @@ use super::amplitude::of_one_amplitude;
 use super::baseline::first_noise;
 use super::design::{Basis, Column};
 use super::discrepancy::{FREE_FORM_COST, SIZE, TERM_COST, Term};
-use super::evidence::{Equations, Question, Spreads, Start, Weighed, promise, weigh};
+use super::evidence::{Equations, Promise, Question, Spreads, Start, Weighed, weigh};
 use super::ground::Ground;
-use super::level::Level;
 use super::library::Phased;
 use super::observe::Observed;
 use super::problem::Model;
@@ -73,13 +72,12 @@ impl Ground<'_> {
             common: Vec::new(),
             powers: Vec::new(),
         };
-        let mut weighed = scale.ask(&[], &start, &self.level).unwrap_or_else(failed);
+        let mut weighed = weigh(&scale.equations, &self.level, &scale.base, &start).unwrap_or_else(failed);
         if let Some(r) = root {
             let shift = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
             let level = self.level.beside_a_shift((shift / weighed.gains.len().max(1) as f64).sqrt());
-            weighed = scale
-                .ask(&[], &Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() }, &level)
-                .unwrap_or_else(failed);
+            let near = Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() };
+            weighed = weigh(&scale.equations, &level, &scale.base, &near).unwrap_or_else(failed);
         }
         let beside = scale.terms(&weighed, without);
         let speeds = scale.equations.squared_speeds();
@@ -183,11 +181,6 @@ impl Scale<'_> {
         q
     }
 
-    /// Weighs the set with some of the terms.
-    fn ask(&self, terms: &[usize], start: &Start, level: &Level) -> Option<Weighed> {
-        weigh(&self.equations, level, &self.question(terms), start)
-    }
-
     /// The terms that the data ask for, one after the other, at the spreads that the gains have without them.
     fn terms(&self, weighed: &Weighed, without: f64) -> Beside {
         let without = without.max(weighed.left);
@@ -199,11 +192,11 @@ impl Scale<'_> {
         for _ in 0..2 {
             let cost: f64 = chosen.iter().map(|c| self.ground.term_cost(*c)).sum();
             let before = self.question(&chosen);
+            let level = &self.ground.level;
+            let promise = Promise::new(&self.equations, level, &before, &now, without);
             let look = |t: usize| {
                 let more = self.question(&[chosen.as_slice(), &[t]].concat());
-                let level = &self.ground.level;
-                let worth_it =
-                    promise(&self.equations, level, [&before, &more], &now, without) > self.ground.term_cost(t);
+                let worth_it = promise.of(&more) > self.ground.term_cost(t);
                 let weighed = worth_it.then(|| weigh(&self.equations, level, &more, &near)).flatten()?;
                 Some((t, weighed.log - cost - self.ground.term_cost(t), weighed))
             };
