@@ -156,8 +156,18 @@ struct View<'a> {
 impl View<'_> {
     /// Names of the effects that cannot be told from one of these, but for itself.
     fn rivals(&self, effect: usize) -> Vec<String> {
-        let others = self.standing.judged.set_of(effect).into_iter().flatten().filter(|o| **o != effect);
-        others.map(|o| self.ground.effects[*o].name.to_string()).collect()
+        let judged = &self.standing.judged;
+        let others = match judged.set_of(effect) {
+            Some(set) if set.len() == 1 => self.may_be_a_form_of(effect),
+            set => set.into_iter().flatten().copied().filter(|o| *o != effect).collect(),
+        };
+        others.into_iter().map(|o| self.ground.effects[o].name.to_string()).collect()
+    }
+
+    /// The named effects that look like one that is not certain by itself.
+    fn may_be_a_form_of(&self, effect: usize) -> Vec<usize> {
+        let alike = |o: &usize| self.ground.effects[*o].looks_like(&self.ground.effects[effect]);
+        self.standing.judged.named.iter().copied().filter(alike).collect()
     }
 
     /// The effects of the accepted set.

@@ -16,7 +16,7 @@ pub const TEMPERATURE: f64 = 3.0;
 /// was there led by 40 and more, but for one load (9) and what looks like another.
 pub const CLOSED_TEMPERATURE: f64 = 6.0;
 /// Nats by which one of two effects that look alike has to lead: they differ by their form alone, and on the generators that may be used
-/// for choosing the wrong one led by up to 37.
+/// for choosing the wrong one led by up to 37. So has one beside the other.
 pub const ALIKE: f64 = 40.0;
 /// Share of all that is removed that a term without physics may remove beside a cause: more, and the cause is not what there is to see.
 pub const MOST_BESIDE: f64 = 0.4;
@@ -192,6 +192,10 @@ pub fn judge(sets: &[Visited], root: &Visited, background: &Background) -> Judge
             }
         }
     }
+    for effect in forms_of_others(sets, &named, background) {
+        named.retain(|e| *e != effect);
+        one_of.push(vec![effect]);
+    }
     let nothing_yet = named.is_empty() && one_of.is_empty();
     let of_course = if nothing_yet { course_of_effects(sets, background) } else { Vec::new() };
     one_of.extend((!of_course.is_empty()).then(|| of_course.clone()));
@@ -267,6 +271,17 @@ fn close_rivals(sets: &[Visited], named: &[usize], background: &Background) -> V
     };
     let pairs = named.iter().flat_map(|e| near(*e));
     pairs.filter(|(e, rival)| e != rival && (background.alike)(*e, *rival) && !named.contains(rival)).collect()
+}
+
+/// Named effects without which others that look like them, named beside them, are behind by no more than forms differ: what they explain may be a
+/// matter of those others' forms.
+fn forms_of_others(sets: &[Visited], named: &[usize], background: &Background) -> Vec<usize> {
+    let leads_little = |e: usize| {
+        let near = |s: &&Visited| s.score > sets[0].score - background.clear_lead && !s.key.contains(&e);
+        let like_it = |f: &usize| *f != e && named.contains(f) && (background.alike)(e, *f);
+        sets.iter().filter(near).any(|s| s.key.iter().any(like_it))
+    };
+    named.iter().copied().filter(|e| leads_little(*e)).collect()
 }
 
 /// What whole runs differ by beyond what is believed of it, with its squared error.
@@ -373,6 +388,23 @@ mod tests {
         assert_eq!((of(1, 0.9 * ALIKE).named, of(1, 0.9 * ALIKE).one_of), (vec![], vec![vec![0, 1]]));
         assert_eq!(of(1, 1.1 * ALIKE).named, [0]);
         assert_eq!(of(2, 0.9 * ALIKE).named, [0]);
+    }
+
+    /// Fails if what takes up the error of another's form is named beside it, if that other loses its name with it, or if what does not look like it
+    /// needs as much.
+    #[test]
+    fn what_may_be_a_matter_of_anothers_form_is_not_named_beside_it() {
+        let of = |more: usize, lead: f64| {
+            judged(&[
+                set(&[0, more], 200.0, 1.0),
+                set(&[0], 200.0 - lead, 1.2),
+                set(&[more], 20.0, 8.0),
+                set(&[], 0.0, 9.0),
+            ])
+        };
+        assert_eq!((of(1, 0.9 * ALIKE).named, of(1, 0.9 * ALIKE).one_of), (vec![0], vec![vec![1]]));
+        assert_eq!(of(1, 1.1 * ALIKE).named, [0, 1]);
+        assert_eq!(of(2, 0.9 * ALIKE).named, [0, 2]);
     }
 
     /// Fails if gains that scatter beyond belief are passed over, or are held against the belief of another set than the best.
