@@ -23,7 +23,7 @@ const INDEPENDENT: f64 = 200.0;
 const INDEPENDENT_A_RUN: f64 = 8.0;
 /// Share of the speed below which no equation of the rotor is believed: the one of the search and the averaged model of the stator
 /// differ by 0.1 to 0.2 % of it where nothing is hidden.
-const MODEL_FLOOR: f64 = 0.005;
+pub const MODEL_FLOOR: f64 = 0.005;
 /// Rounds of expectation–maximisation of noise and powers.
 const ROUNDS: usize = 6;
 /// They end when none of these moves by more than this share of itself: near its greatest value the likelihood moves by the square of that.

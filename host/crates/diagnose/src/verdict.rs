@@ -3,6 +3,7 @@
 //! Every number that decides is here, with its reason; what the evidence itself rests on is in [`super::evidence`],
 //! [`super::level`], [`super::search`] and the priors of the library.
 
+use super::evidence::MODEL_FLOOR;
 use super::level::{LARGEST_SPREAD, NAMES, Taus};
 
 /// Least probability of a name: one wrong in twenty is what a person can live with.
@@ -284,9 +285,9 @@ fn forms_of_others(sets: &[Visited], named: &[usize], background: &Background) -
     named.iter().copied().filter(|e| leads_little(*e)).collect()
 }
 
-/// What whole runs differ by beyond what is believed of it, with its squared error.
+/// What whole runs differ by beyond what is believed of it and of any equation, with its squared error.
 fn beyond_belief(set: &Visited) -> Vec<(&'static str, f64)> {
-    let beyond = |k: &usize| set.belief[*k] < -LARGEST_SPREAD && set.taus[*k] > 0.01;
+    let beyond = |k: &usize| set.belief[*k] < -LARGEST_SPREAD && set.taus[*k] > MODEL_FLOOR;
     (0..NAMES.len()).filter(beyond).map(|k| (NAMES[k], set.scattered[k])).collect()
 }
 
@@ -407,18 +408,20 @@ mod tests {
         assert_eq!(of(2, 0.9 * ALIKE).named, [0, 2]);
     }
 
-    /// Fails if gains that scatter beyond belief are passed over, or are held against the belief of another set than the best.
+    /// Fails if gains that scatter beyond belief are passed over, or are held against the belief of another set than the best; or if so is what no
+    /// equation is believed to.
     #[test]
     fn gains_that_scatter_over_the_duty_are_unknown_where_the_effects_have_not_moved_them() {
-        let lives_in = |beliefs: [f64; 2]| {
+        let lives_in = |tau: f64, beliefs: [f64; 2]| {
             let [mut best, mut root] = [set(&[0], 20.0, 5.0), set(&[], 0.0, 9.0)];
             for (set, belief) in [&mut best, &mut root].into_iter().zip(beliefs) {
-                (set.taus[1], set.belief[1]) = (0.04, belief * LARGEST_SPREAD);
+                (set.taus[1], set.belief[1]) = (tau, belief * LARGEST_SPREAD);
             }
             judged(&[best, root]).lives_in
         };
-        assert_eq!(lives_in([-1.1, -0.9]), [("duty", 0.0)]);
-        assert_eq!(lives_in([-0.9, -1.1]), []);
+        assert_eq!(lives_in(0.04, [-1.1, -0.9]), [("duty", 0.0)]);
+        assert_eq!(lives_in(0.04, [-0.9, -1.1]), []);
+        assert_eq!(lives_in(0.9 * MODEL_FLOOR, [-1.1, -1.1]), []);
     }
 
     /// Fails if a course that the library's effects have is nobody's, or if one that they have not is theirs.
