@@ -7,6 +7,7 @@ use super::evidence::{Question, independent};
 use super::form_error::FormError;
 use super::level::Level;
 use super::library::{Coordinate, Effect, Phased};
+use super::observe::Observed;
 use super::problem::{Model, Problem};
 use super::refit::{Free, columns_of, objective, refit};
 use super::rotor::{P, Parameters};
@@ -79,6 +80,12 @@ impl<'a> Ground<'a> {
         let [chance, duty, direction, both, order] = set.weighed.taus;
         let spread = [chance, duty, direction, both, order].iter().map(|t| t * t).sum::<f64>().sqrt();
         Noise { variance: set.weighed.variance, gain_spread: spread.clamp(3e-3, 0.1) }
+    }
+
+    /// The same were what is left that of the sampling alone, which every stretch that lies apart has anew.
+    pub fn noise_of_sampling(&self, set: &Set) -> Noise {
+        let apart: f64 = self.problem.runs.iter().map(Observed::apart).sum();
+        Noise { variance: set.weighed.left / apart.max(1.0), ..self.noise(set) }
     }
 
     /// The model refitted with the effects in it.
