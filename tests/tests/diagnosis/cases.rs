@@ -203,7 +203,8 @@ fn a_wander_of_the_runs_that_no_motor_has_is_unknown_over_the_order() {
     is_unknown_over("e", 513, "order");
 }
 
-/// Sixteen runs of eight to ten turns. Fails if a wheel's size is that beside the errors of forms: it was 13 % too small, by four times its interval.
+/// Sixteen runs of eight to ten turns. Fails if a wheel's size is that beside the errors of forms: it was 13 % too small, in an
+/// interval of 8 %.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_a_wheel_that_turned_often_has_its_size() {

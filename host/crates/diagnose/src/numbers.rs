@@ -105,14 +105,15 @@ fn amplitude(scorer: &Scorer, set: &Set, pair: Phased, power: f64, sampled: f64)
         (sampled, 0.0)
     };
     let total: f64 = squares.iter().sum();
+    // A share: the runs' coefficients are held back by the tempered noise, all alike.
     let spread = if n > 1.0 {
         let jack: Vec<f64> = squares.iter().map(|s| ((total - s) / (n - 1.0)).max(0.0).sqrt()).collect();
         let mean = jack.iter().sum::<f64>() / n;
-        (jack.iter().map(|a| (a - mean).powi(2)).sum::<f64>() * (n - 1.0) / n).sqrt()
+        (jack.iter().map(|a| (a - mean).powi(2)).sum::<f64>() * (n - 1.0) / n).sqrt() / mean.max(f64::MIN_POSITIVE)
     } else {
         0.0
     };
-    let half = NORMAL_95 * spread.hypot(FORM * value).hypot(between);
+    let half = NORMAL_95 * (value * spread.hypot(FORM)).hypot(between);
     let (name, unit, scale) = match pair {
         Phased::Runout(h) => (RUNOUT[h], "1", 1.0),
         Phased::Eccentricity(h) => (ECCENTRICITY[h], "rad", 1.0),
