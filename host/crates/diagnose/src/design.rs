@@ -120,6 +120,9 @@ struct Moved {
     per_step: f64,
 }
 
+/// A rhythm that is none, but there.
+const NO_RHYTHM: f64 = 1e-12;
+
 impl<'a> Linearised<'a> {
     fn new(problem: &'a Problem, model: &'a Model, columns: &'a [Column]) -> Self {
         let with_warmth = |p: Parameters| {
@@ -154,11 +157,12 @@ impl<'a> Linearised<'a> {
         let run = &self.problem.runs[i];
         let now = self.problem.run_residual(i, &self.model.parameters, &self.model.terms[i], self.warmth[i]);
         let around = self.surroundings(i, &now);
+        let over_angle = self.over_angle(i, &now);
         let weight: Vec<f64> = run.windows.iter().map(|w| run.duration(w).max(0.0).sqrt()).collect();
         let width = self.columns.len();
         let mut x = vec![0.0; weight.len() * width];
         for c in 0..width {
-            for (k, value) in self.column(i, c, &now, &around).into_iter().enumerate() {
+            for (k, value) in self.column(i, c, &now, &around, &over_angle).into_iter().enumerate() {
                 x[k * width + c] = weight[k] * value;
             }
         }
@@ -178,8 +182,29 @@ impl<'a> Linearised<'a> {
         Surroundings { terms, now }
     }
 
+    /// Where what goes with the angle is moved: beside no rhythm of it, the same run with one that is nothing, whose periods are stepped one by one as
+    /// they are beside any. What repeated periods differ by from these, a hundredth of a rhythm makes a hundred times as large.
+    fn over_angle<'b>(&self, i: usize, now: &'b RunResidual) -> Cow<'b, RunResidual> {
+        let terms = &self.model.terms[i];
+        let moves = |c: &Column| matches!(c, Column::Runout(_) | Column::Gravity(_) | Column::Shaped(..));
+        let repeats = terms.runout.iter().chain(&terms.gravity).all(|c| *c == 0.0);
+        if !repeats || !self.columns.iter().any(moves) {
+            return Cow::Borrowed(now);
+        }
+        let mut stepped = *terms;
+        stepped.runout[0] = NO_RHYTHM;
+        Cow::Owned(self.problem.run_residual(i, &self.model.parameters, &stepped, self.warmth[i]))
+    }
+
     /// What a unit of column `c` adds to the predicted speed of each window of run `i`, rpm.
-    fn column(&self, i: usize, c: usize, now: &RunResidual, around: &Surroundings) -> Vec<f64> {
+    fn column(
+        &self,
+        i: usize,
+        c: usize,
+        now: &RunResidual,
+        around: &Surroundings,
+        over_angle: &RunResidual,
+    ) -> Vec<f64> {
         let run = &self.problem.runs[i];
         let p = &self.model.parameters;
         let change = |from: &RunResidual, to: &RunResidual, per: f64| -> Vec<f64> {
@@ -212,12 +237,12 @@ impl<'a> Linearised<'a> {
             }
             Column::Runout(_) | Column::Gravity(_) => {
                 let (terms, step) = self.phased_step(i, &self.columns[c]);
-                change(now, &self.problem.run_residual(i, p, &terms, self.warmth[i]), 1.0 / step)
+                change(over_angle, &self.problem.run_residual(i, p, &terms, self.warmth[i]), 1.0 / step)
             }
             Column::Shaped(phased, shape) => {
                 let shaped = shape.iter().fold(p.clone(), |q, (which, value)| q.with(*which, *value));
                 let (terms, step) = self.phased_step(i, phased);
-                change(now, &self.problem.run_residual(i, &shaped, &terms, self.warmth[i]), 1.0 / step)
+                change(over_angle, &self.problem.run_residual(i, &shaped, &terms, self.warmth[i]), 1.0 / step)
             }
             Column::Flexible(basis) => {
                 let of = |(w, predicted): (&Window, &f64)| self.flexible(i, *basis, w, *predicted);
