@@ -378,6 +378,11 @@ mod tests {
         };
         let (more, less) = (moved(step), moved(-step));
         let own: Vec<f64> = more.iter().zip(less).map(|(a, b)| (a - b) / (2.0 * step)).collect();
+        off(&own, &found)
+    }
+
+    /// The same of the first column of a design and the derivative `own`.
+    fn off(own: &[f64], found: &RunDesign) -> f64 {
         let square = |x: &mut dyn Iterator<Item = f64>| x.map(|x| x * x).sum::<f64>();
         let off = square(&mut own.iter().zip(&found.x).zip(&found.weight).map(|((own, x), weight)| own - x / weight));
         (off / square(&mut own.iter().copied())).sqrt()
@@ -399,6 +404,24 @@ mod tests {
                 assert!(share < allowed, "{parameter:?} beside {rhythm}: {share} of itself");
             }
         }
+    }
+
+    /// Fails if a runout is moved from periods that repeat each other, which are stepped beside any.
+    #[test]
+    fn a_runout_beside_none_has_its_own_derivative() {
+        let problem = Problem::new(vec![run()]);
+        let shape = [(P::RunoutSpeed, 0.0), (P::RunoutTorque, 1.0), (P::RunoutBrake, 1.0)];
+        let model = problem.model(shape.iter().fold(rotor(), |p, (which, value)| p.with(*which, *value)));
+        let column = Column::Shaped(Box::new(Column::Runout(0)), shape.to_vec());
+        let found = problem.design(&model, &[column]).remove(0);
+        let moved = |by: f64| {
+            let mut moved = model.clone();
+            moved.terms[0].runout[0] = by;
+            problem.residuals(&moved).remove(0).predicted
+        };
+        let own: Vec<f64> = moved(0.01).iter().zip(moved(-0.01)).map(|(a, b)| (a - b) / 0.02).collect();
+        let share = off(&own, &found);
+        assert!(share < 0.05, "{share} of itself");
     }
 
     /// Fails if a derivative beside warmth is that of a cold motor, or if what warmth changes is moved from one.
