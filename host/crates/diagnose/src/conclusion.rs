@@ -10,6 +10,7 @@ use super::library::{Coordinate, Effect};
 use super::numbers::estimates;
 use super::problem::{Model, Problem};
 use super::refit::{objective, refit};
+use super::rhythm;
 use super::set::{Part, Set, strip};
 use super::stats::HeldOut;
 use super::verdict::{
@@ -66,6 +67,7 @@ pub fn conclude(ground: &Ground, visited: &[Set], settings: &Settings) -> Outcom
     let standing = Standing::of(ground, &scorer, visited, root, settings.seed);
     let best = &standing.sets[0];
     let accepted = standing.judged.accepted(&standing.sets, Set::key, |_| false).unwrap_or(root);
+    let accepted = &rhythm::whole(ground, accepted);
     let held_out = scorer.held_out(root).against(&scorer.held_out(accepted));
     // Chance is judged with the gains that the accepted effects leave.
     let chance = scorer.chance(root, &accepted.weighed.gains, settings.repetitions, settings.seed);

@@ -54,6 +54,7 @@ pub mod prior;
 pub mod problem;
 mod pwm_line;
 pub mod refit;
+mod rhythm;
 pub mod rotor;
 pub mod runs;
 pub mod saved;
@@ -62,6 +63,8 @@ pub mod set;
 mod starts;
 pub mod stats;
 pub mod timing;
+#[cfg(test)]
+mod trial;
 pub mod verdict;
 pub mod weighing;
 

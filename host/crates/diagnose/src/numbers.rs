@@ -2,11 +2,9 @@
 
 use super::discrepancy::switching;
 use super::finding::Estimate;
-use super::ground::Ground;
 use super::held_out::Scorer;
 use super::library::{Effect, Phased};
-use super::problem::Problem;
-use super::refit::amplitudes;
+use super::rhythm;
 use super::rotor::P;
 use super::set::{Part, Set};
 use twum_fit::quantile::{NORMAL_95, student_95};
@@ -27,7 +25,7 @@ pub fn estimates(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Ve
         set.parts.iter().flat_map(|p| p.phased.iter().map(|pair| (p.effect, *pair))).collect();
     if pairs.iter().any(|(of, _)| *of == part.effect) {
         let phased: Vec<Phased> = pairs.iter().map(|(_, pair)| *pair).collect();
-        let sampled = beside_sampling(scorer.ground, set, &phased);
+        let sampled: Vec<f64> = rhythm::powers(scorer.ground, set, &phased).iter().map(|p| (2.0 * p).sqrt()).collect();
         let of_part = pairs.iter().enumerate().filter(|(_, (of, _))| *of == part.effect);
         out.extend(of_part.map(|(k, (_, pair))| amplitude(scorer, set, *pair, set.weighed.powers[k], sampled[k])));
     }
@@ -75,31 +73,13 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
         .collect()
 }
 
-/// Turns from which a run tells a rhythm of the angle from the slow errors that forms have, so that only the sampling's noise is left beside it.
-const TOLD_APART_TURNS: f64 = 1.0;
-/// Fewest such runs that say how large it is: one repeats nothing.
-const FEWEST_TOLD_APART: usize = 2;
-
-/// The runs that turned far enough to tell a rhythm apart; none where they are too few.
-fn told_apart(problem: &Problem) -> Vec<usize> {
-    let runs = problem.runs.iter().enumerate().filter(|(_, r)| r.revolutions() >= TOLD_APART_TURNS);
-    let far: Vec<usize> = runs.map(|(k, _)| k).collect();
-    if far.len() < FEWEST_TOLD_APART { Vec::new() } else { far }
-}
-
-/// Amplitudes that all runs share, were what is left beside them the noise of sampling alone: of the runs that tell them apart, or else of all.
-fn beside_sampling(ground: &Ground, set: &Set, phased: &[Phased]) -> Vec<f64> {
-    let free = ground.free(&set.model, &set.parts);
-    amplitudes(ground.problem, &told_apart(ground.problem), &set.model, &free[0], phased, ground.noise_of_sampling(set))
-}
-
 /// The amplitude that all runs share; its spread by leaving out one run after the other. It has `power` where what is left is taken for errors of forms,
 /// which makes it too small by their noise, and is as large as `sampled` where it is taken for sampling: of shorter runs it lies anywhere between.
 fn amplitude(scorer: &Scorer, set: &Set, pair: Phased, power: f64, sampled: f64) -> Estimate {
     let squares: Vec<f64> = scorer.phases(set, pair).iter().map(|c| c[0] * c[0] + c[1] * c[1]).collect();
     let n = squares.len() as f64;
     let weighed = (2.0 * power).sqrt();
-    let (value, between) = if told_apart(scorer.ground.problem).is_empty() {
+    let (value, between) = if rhythm::told_apart(scorer.ground.problem).is_empty() {
         (weighed, 0.5 * (sampled - weighed))
     } else {
         (sampled, 0.0)

@@ -35,7 +35,7 @@ pub fn columns_of(free: &[Free]) -> Vec<Column> {
 }
 
 /// Plausible size of a phased coefficient before the first round.
-const FIRST_POWER: f64 = 0.01;
+pub(super) const FIRST_POWER: f64 = 0.01;
 
 /// Rounds in which the power that all runs share is found from the coefficients of the runs.
 const EXPECTATIONS: usize = 6;
@@ -135,7 +135,7 @@ pub fn put_coefficients(model: &mut Model, phased: &[Phased], values: &[Vec<f64>
 }
 
 /// Equations of one run, the gain taken out that its first column, the free speed, stands for.
-fn equations(design: &RunDesign, common: usize, own: &[f64], noise: Noise) -> Normal {
+pub(super) fn equations(design: &RunDesign, common: usize, own: &[f64], noise: Noise) -> Normal {
     let around = DVector::from_fn(design.columns, |i, _| if i < common { 0.0 } else { own[i - common] });
     Normal::new(design.columns, &design.x, &design.y).whole(&around).without_gain(0, noise)
 }
@@ -147,12 +147,12 @@ fn pull(free: &Free, at: &Model, variance: f64) -> Pull {
 }
 
 /// How well a run's own coefficients are known beside the data: a cosine and a sine share their power.
-fn precision(power: &[f64], variance: f64) -> Vec<f64> {
+pub(super) fn precision(power: &[f64], variance: f64) -> Vec<f64> {
     power.iter().flat_map(|p| [variance / p; 2]).collect()
 }
 
 /// The power of each pair that its coefficients in all runs, and their uncertainty, make likely (expectation–maximisation).
-fn expected_power(runs: &[Normal], common: usize, power: &[f64], variance: f64) -> Vec<f64> {
+pub(super) fn expected_power(runs: &[Normal], common: usize, power: &[f64], variance: f64) -> Vec<f64> {
     let precision = precision(power, variance);
     let mut sums = vec![0.0; power.len()];
     for run in runs {
@@ -163,40 +163,6 @@ fn expected_power(runs: &[Normal], common: usize, power: &[f64], variance: f64) 
         }
     }
     sums.iter().map(|s| (s / runs.len().max(1) as f64).max(1e-9)).collect()
-}
-
-/// Rounds in which the amplitudes are found by themselves, at most; from one that is 20 times as large they fall to a thousandth in a dozen where
-/// the runs know them well.
-const AMPLITUDE_ROUNDS: usize = 100;
-/// They end when no power moves by more than this share of itself.
-const AMPLITUDE_SETTLED: f64 = 1e-4;
-
-/// The amplitude that each pair of `phased` has in the runs `of`, or all if these are none, around `model` and beside noise like this; the free speed is
-/// each run's own as far as gains scatter.
-pub fn amplitudes(
-    problem: &Problem,
-    of: &[usize],
-    model: &Model,
-    free_speed: &Free,
-    phased: &[Phased],
-    noise: Noise,
-) -> Vec<f64> {
-    let mut columns = columns_of(std::slice::from_ref(free_speed));
-    columns.extend(phased.iter().flat_map(|p| p.columns()));
-    let designs = problem.design(model, &columns);
-    let now = coefficients(model, phased);
-    let asked = (0..designs.len()).filter(|k| of.is_empty() || of.contains(k));
-    let runs: Vec<Normal> = asked.map(|k| equations(&designs[k], 1, &now[k], noise)).collect();
-    let mut power = vec![FIRST_POWER; phased.len()];
-    for _ in 0..AMPLITUDE_ROUNDS {
-        let next = expected_power(&runs, 1, &power, noise.variance);
-        let settled = next.iter().zip(&power).all(|(to, from)| (to - from).abs() < AMPLITUDE_SETTLED * from);
-        power = next;
-        if settled {
-            break;
-        }
-    }
-    power.iter().map(|p| (2.0 * p).sqrt()).collect()
 }
 
 /// The model after a step; the runs' own coefficients go a share of their way.
