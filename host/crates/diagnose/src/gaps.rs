@@ -32,8 +32,24 @@ pub struct Gaps {
     pub finding: Finding,
 }
 
+impl Gaps {
+    /// Whether they are enough where nothing else was found beside them.
+    pub fn stand_alone(&self) -> bool {
+        self.finding.gain >= LEAST_GAIN
+    }
+}
+
+/// Beside what lost words are looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Beside {
+    /// A motor whose effects are not known yet: a small gain may be as much as there can be beside their error.
+    Unknown,
+    /// A motor with what was found: what is left is theirs.
+    Found,
+}
+
 /// Looks for lost words in runs sampled on a grid; `None` if there are none.
-pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
+pub fn find(problem: &Problem, model: &Model, beside: Beside, seed: u64) -> Option<Gaps> {
     let usable =
         |r: &Observed| r.kind == RunKind::Speed && r.pitch > 0.0 && r.time_spread > 1e-4 && r.windows.len() > 20;
     if !problem.runs.iter().any(usable) {
@@ -92,8 +108,7 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
     let gain = held.gain();
     let p_null = (windows as f64 * (-0.5 * best_improvement).exp()).clamp(1e-6, 1.0);
     let gain_interval = held.gain_interval(seed);
-    // Beside another cause's error a small gain is as much as there can be: every choice among the runs then has to gain by it.
-    if (gain < LEAST_GAIN && gain_interval[0] <= 0.0) || p_null > LARGEST_P {
+    if !is_enough(&held, beside, seed) || p_null > LARGEST_P {
         return None;
     }
     let finding = Finding {
@@ -114,6 +129,11 @@ pub fn find(problem: &Problem, model: &Model, seed: u64) -> Option<Gaps> {
         note: "found in each run by itself; the lost time is put back before anything else is judged".to_owned(),
     };
     Some(Gaps { problem: corrected, lost, finding })
+}
+
+/// Whether gaps gain enough: beside another cause's error every choice among the runs has to gain by what is little.
+fn is_enough(held: &HeldOut, beside: Beside, seed: u64) -> bool {
+    held.gain() >= LEAST_GAIN || beside == Beside::Unknown && held.gain_interval(seed)[0] > 0.0
 }
 
 /// Variance of a weighted residual, from the middle of the squares: gaps must not set it. Of a square of variance 1 the median is
@@ -403,5 +423,19 @@ mod tests {
         for slot_ms in [6.1, 17.7, 31.4] {
             assert_eq!(path(&turning(slot_ms, 0), slot_ms), None);
         }
+    }
+
+    /// Fails if a small gain is passed over beside what is not known yet, though every run has it, or counts though one alone has; or if so little is
+    /// enough beside what was found.
+    #[test]
+    fn little_is_enough_beside_what_is_not_known_yet_alone() {
+        let enough = |after: [f64; 4]| {
+            let pairs = after.map(|after| [1.0, after]).to_vec();
+            let held = HeldOut { loss: pairs.clone(), plain: pairs, seconds: vec![1.0; 4] };
+            [Beside::Unknown, Beside::Found].map(|beside| is_enough(&held, beside, 1))
+        };
+        assert_eq!(enough([0.98; 4]), [true, false]);
+        assert_eq!(enough([1.0, 1.0, 1.0, 0.92]), [false, false]);
+        assert_eq!(enough([1.0, 1.0, 1.0, 0.5]), [true, true]);
     }
 }

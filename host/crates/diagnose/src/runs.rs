@@ -3,7 +3,7 @@
 use super::baseline::{baseline_free, first_noise, refit_baseline};
 use super::conclusion::{Outcome, Settings, conclude};
 use super::evidence::independent;
-use super::gaps::{self, Gaps};
+use super::gaps::{self, Beside, Gaps};
 use super::ground::Ground;
 use super::held_out::Scorer;
 use super::library::{Effect, library, not_judged};
@@ -25,17 +25,7 @@ pub fn diagnose_runs(
         .into_iter()
         .filter(|e| !settings.without.iter().any(|w| *w == e.name))
         .collect();
-    let mut refused = vec![(
-        "presliding".to_owned(),
-        "an elastic return is smaller than the encoder's pitch; a finer encoder would show it".to_owned(),
-    )];
-    let mut usable = Vec::new();
-    for (i, effect) in effects.iter().enumerate() {
-        match not_judged(effect, problem) {
-            Some(reason) => refused.push((effect.name.to_string(), reason)),
-            None => usable.push(i),
-        }
-    }
+    let (usable, refused) = judged(&effects, problem);
     progress("refitting the baseline", 0.02);
     let original = problem.clone().widened();
     let counted = |p: &Problem| {
@@ -44,7 +34,7 @@ pub fn diagnose_runs(
     };
     let unrepaired = refit_baseline(&original, home, counted(&original));
     progress("looking for lost samples", 0.06);
-    let mut moved = shifted(problem, &problem.model(unrepaired.parameters.clone()), home, settings);
+    let mut moved = shifted(problem, &problem.model(unrepaired.parameters.clone()), home, Beside::Unknown, settings);
     let compare = |moved: &Option<Shifted>| match moved {
         Some(Shifted::Lost(gaps)) => {
             let repaired = gaps.problem.clone().widened();
@@ -62,31 +52,30 @@ pub fn diagnose_runs(
     let (mut compared, baseline) = compare(&moved);
     let (mut sets, mut terms) = searched(&compared, baseline, &moved);
     // Behind another effect's error they may not have shown, be it one that is not certain; or that error looked like them.
-    let with_effects = sets.iter().find(|s| !s.parts.is_empty());
-    if let Some(found) = with_effects.map(|s| &s.model) {
-        let clock = sets[0].parts.iter().any(|p| p.changes(P::ClockError));
-        let of_clock = |e: &usize| {
-            let mut sizes = effects[*e].forms.iter().flat_map(|f| &f.sizes);
-            sizes.any(|s| s.parameter == P::ClockError)
-        };
-        let again = match &moved {
-            Some(Shifted::Lost(_)) if sets[0].parts.is_empty() => None,
-            Some(Shifted::Lost(before)) => {
-                let again = lost(problem, found, settings);
-                let same = again.as_ref().is_some_and(|again| again.lost == before.lost);
-                (!same).then(|| again.map(Shifted::Lost))
-            }
-            None if !clock => shifted(problem, found, home, settings).map(Some),
-            Some(Shifted::Clock(_)) if !clock && !usable.iter().any(of_clock) => None,
-            // Beside a clock that is known to be wrong, no clock does as well; and one that did, and is not in the best set, was none.
-            _ => lost(problem, found, settings).map(|gaps| Some(Shifted::Lost(gaps))),
-        };
-        if let Some(again) = again {
-            moved = again;
-            let baseline;
-            (compared, baseline) = compare(&moved);
-            (sets, terms) = searched(&compared, baseline, &moved);
+    let found = sets.iter().find(|s| !s.parts.is_empty()).map(|s| &s.model);
+    let clock = sets[0].parts.iter().any(|p| p.changes(P::ClockError));
+    let of_clock = |e: &usize| {
+        let mut sizes = effects[*e].forms.iter().flat_map(|f| &f.sizes);
+        sizes.any(|s| s.parameter == P::ClockError)
+    };
+    let again = match (&moved, found) {
+        (Some(Shifted::Lost(gaps)), _) if sets[0].parts.is_empty() => (!gaps.stand_alone()).then_some(None),
+        (_, None) => None,
+        (Some(Shifted::Lost(before)), Some(found)) => {
+            let again = lost(problem, found, Beside::Found, settings);
+            let same = again.as_ref().is_some_and(|again| again.lost == before.lost);
+            (!same).then(|| again.map(Shifted::Lost))
         }
+        (None, Some(found)) if !clock => shifted(problem, found, home, Beside::Found, settings).map(Some),
+        (Some(Shifted::Clock(_)), _) if !clock && !usable.iter().any(of_clock) => None,
+        // Beside a clock that is known to be wrong, no clock does as well; and one that did, and is not in the best set, was none.
+        (_, Some(found)) => lost(problem, found, Beside::Found, settings).map(|gaps| Some(Shifted::Lost(gaps))),
+    };
+    if let Some(again) = again {
+        moved = again;
+        let baseline;
+        (compared, baseline) = compare(&moved);
+        (sets, terms) = searched(&compared, baseline, &moved);
     }
     progress("measuring what was found", 0.85);
     let ground = Ground { terms, ..Ground::new(&compared, home.clone(), &effects, usable) };
@@ -102,6 +91,22 @@ pub fn diagnose_runs(
     outcome
 }
 
+/// Indices of the effects that the runs can show; the others with the reason.
+fn judged(effects: &[Effect], problem: &Problem) -> (Vec<usize>, Vec<(String, String)>) {
+    let mut refused = vec![(
+        "presliding".to_owned(),
+        "an elastic return is smaller than the encoder's pitch; a finer encoder would show it".to_owned(),
+    )];
+    let mut usable = Vec::new();
+    for (i, effect) in effects.iter().enumerate() {
+        match not_judged(effect, problem) {
+            Some(reason) => refused.push((effect.name.to_string(), reason)),
+            None => usable.push(i),
+        }
+    }
+    (usable, refused)
+}
+
 /// What moves the record against the drive.
 enum Shifted {
     /// Words of samples are lost.
@@ -111,16 +116,22 @@ enum Shifted {
 }
 
 /// Lost words of samples beside a model, or a wrong clock that does as well.
-fn shifted(problem: &Problem, model: &Model, home: &Parameters, settings: &Settings) -> Option<Shifted> {
-    let gaps = lost(problem, model, settings)?;
+fn shifted(
+    problem: &Problem,
+    model: &Model,
+    home: &Parameters,
+    beside: Beside,
+    settings: &Settings,
+) -> Option<Shifted> {
+    let gaps = lost(problem, model, beside, settings)?;
     let clock = clock_instead(problem, model, home, &gaps).map(Box::new);
     Some(clock.map_or(Shifted::Lost(gaps), Shifted::Clock))
 }
 
 /// Lost words of samples beside a model.
-fn lost(problem: &Problem, model: &Model, settings: &Settings) -> Option<Box<Gaps>> {
+fn lost(problem: &Problem, model: &Model, beside: Beside, settings: &Settings) -> Option<Box<Gaps>> {
     let asked = !settings.without.iter().any(|w| w == "dropped-samples");
-    asked.then(|| gaps::find(problem, model, settings.seed)).flatten().map(Box::new)
+    asked.then(|| gaps::find(problem, model, beside, settings.seed)).flatten().map(Box::new)
 }
 
 /// Steps in which a clock is fitted together with the motor: it begins within a line's width of where it ends.

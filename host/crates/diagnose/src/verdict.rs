@@ -28,8 +28,8 @@ pub const MOST_OF_A_COURSE: f64 = 0.05;
 /// so that it takes what one over the angle takes, and a little more by chance.
 pub const SAME_COURSE: f64 = 0.9;
 /// Smallest held-out gain of what is found outside the evidence (lost samples, the controller, an ordinary motor), and of what makes an answer
-/// `unknown` by itself: of eight motors without an effect that were `unknown` six had less, of 59 with something outside the library two. Lost
-/// samples and ordinary motors' effects may bring less where the gain's interval speaks for them.
+/// `unknown` by itself: of eight motors without an effect that were `unknown` six had less, of 59 with something outside the library two. Ordinary
+/// motors' effects, and lost samples as long as no cause is known, may bring less where the gain's interval speaks for them.
 pub const LEAST_GAIN: f64 = 0.05;
 /// Largest p-value of the same.
 pub const LARGEST_P: f64 = 0.01;
