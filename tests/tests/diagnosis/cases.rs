@@ -88,11 +88,11 @@ fn thorough_lost_words_of_a_slow_rotor_are_found_beside_a_delay() {
     both_are_found("e", 284, ["dropped-samples", "start-delay"]);
 }
 
-/// A duty in sixths, 9.5 nats ahead where 8.8 and what its rivals have are asked, and a third of the error on runs held out. Fails if only the evidence
-/// is asked: it was none.
+/// A duty in uneven steps, 5 nats ahead where 8.8 are asked, and for certain a quarter of the error on runs held out. Fails if only the evidence is
+/// asked: then it is none.
 #[test]
 fn what_is_likely_and_helps_for_certain_is_said_and_not_named() {
-    let d = of_a_case("b", Kind::Single, 20_004);
+    let d = of_a_case("d", Kind::Single, 20_044);
     assert_eq!(d.suspected(), ["duty-quantisation"]);
     assert!(d.named().is_empty(), "{:?}", d.named());
 }
@@ -181,6 +181,14 @@ fn thorough_what_brings_little_beside_what_was_found_is_no_lost_words() {
     assert!(!d.suspected().contains(&"dropped-samples"), "{:?}", d.suspected());
     assert!(d.suspected().contains(&"encoder-eccentricity"), "{:?}", d.suspected());
     assert!(d.named().contains(&"clock-error"), "{:?}", d.suspected());
+}
+
+/// A friction that falls with the speed beside an asymmetry of 1.35 %, of which the library's form leaves half a floor. Fails if runs held out are fitted
+/// to what the form gets wrong within them: then they speak against the asymmetry, and nothing is named.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_a_form_gets_wrong_does_not_strike_a_small_asymmetry() {
+    both_are_found("c", 20_044, ["direction-asymmetry", "stribeck-friction"]);
 }
 
 /// A preload that changes by 9 % round the rotor, and with it both frictions and the wave. Fails if no form of a runout acts on all three: an

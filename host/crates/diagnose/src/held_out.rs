@@ -122,7 +122,7 @@ impl<'a> Scorer<'a> {
         let designs = self.ground.problem.design(&set.model, &columns);
         // The scales only keep a singular matrix from being one: what is known is in the priors.
         let grams = Grams::new(&designs, 0, &vec![30.0; columns.len()], Some(&self.keys), self.divisions.clone());
-        (grams.with_prior(priors), free.len(), pairs)
+        (grams.beside(noise).with_prior(priors), free.len(), pairs)
     }
 
     /// Errors on runs that were not fitted: everything common is fitted again without them, linearly around the set's model.
@@ -132,7 +132,7 @@ impl<'a> Scorer<'a> {
         }
         let (grams, free, pairs) = self.equations(set, &[]);
         let own: Vec<usize> = (0..free).collect();
-        let mut held = grams.hold_out_around_a_fit(&own, &Group::Linear(Vec::new()));
+        let mut held = hold_out(&grams, &grams.clone().beside_sampling(), &own, &Group::Linear(Vec::new()));
         if !pairs.is_empty() {
             // Phases were fitted on the very runs that are scored: take off what that is worth by chance.
             let amplitudes: Vec<f64> = set.weighed.powers.iter().map(|p| (2.0 * p).sqrt()).collect();
@@ -276,14 +276,15 @@ impl<'a> Scorer<'a> {
         let (grams, free, _) = self.equations(root, &columns);
         let own: Vec<usize> = (0..free).collect();
         let plain: Vec<Group> = groups.iter().map(|g| g.1.clone()).collect();
-        let (improvements, null) = grams.screen(&own, &plain, gains, repetitions, seed);
+        let sampled = grams.clone().beside_sampling();
+        let (improvements, null) = sampled.screen(&own, &plain, gains, repetitions, seed);
         let alone = ground
             .usable
             .iter()
             .filter_map(|effect| {
                 let forms = (0..groups.len()).filter(|k| groups[*k].0 == *effect);
                 let best = forms.max_by(|a, b| improvements[*a].total_cmp(&improvements[*b]))?;
-                Some((*effect, grams.hold_out_around_a_fit(&own, &plain[best])))
+                Some((*effect, hold_out(&grams, &sampled, &own, &plain[best])))
             })
             .collect();
         Chance { null, alone }
@@ -293,6 +294,12 @@ impl<'a> Scorer<'a> {
     pub fn phases(&self, set: &Set, pair: Phased) -> Vec<[f64; 2]> {
         coefficients(&set.model, &[pair]).iter().map(|z| [z[0], z[1]]).collect()
     }
+}
+
+/// Errors on runs that were not fitted, under the likelihood that the model was fitted under; what decides is held against chance beside `sampled` noise.
+fn hold_out(grams: &Grams, sampled: &Grams, own: &[usize], group: &Group) -> HeldOut {
+    let loss = sampled.hold_out_around_a_fit(own, group).loss;
+    HeldOut { loss, ..grams.hold_out_around_a_fit(own, group) }
 }
 
 /// Whether a window lies in the part of a run that is scored: after the first turn, or, of less than one and a half, after half the time.

@@ -20,7 +20,7 @@ impl Noise {
     }
 
     /// How much of a residual along the prediction is the gain's, over the squared prediction `gg`.
-    pub(crate) fn gamma(self, gg: f64) -> f64 {
+    pub fn gamma(self, gg: f64) -> f64 {
         let t = self.gain_spread * self.gain_spread;
         t / (self.variance + t * gg)
     }

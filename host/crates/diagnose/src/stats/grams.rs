@@ -4,6 +4,7 @@ use super::super::design::RunDesign;
 use super::Fold;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use twum_fit::noise::Noise;
 
 /// Windows in one block of the null's sign flips: longer than the memory of the sampling noise (two windows), shorter
 /// than any effect.
@@ -151,17 +152,29 @@ impl Grams {
         let rows: usize = designs.iter().map(|d| d.y.len()).sum();
         let total: f64 = designs.iter().flat_map(|d| d.y.iter()).map(|y| y * y).sum();
         let variance = (total / rows.max(1) as f64).max(1e-12);
-        let mut runs: Vec<RunGram> =
+        let runs: Vec<RunGram> =
             designs.par_iter().map(|design| RunGram::of(design, columns, gain_column, block)).collect();
         // None within one run.
         let gain_spread = replicates.map_or(0.0, |keys| spread_of_gains(&runs, keys));
-        for run in &mut runs {
-            let gg = run.g[gain_column * columns + gain_column];
-            let t = gain_spread * gain_spread;
-            run.gamma = t / (variance + t * gg);
-        }
         let ridge = scales.iter().map(|s| variance / (s * s)).collect();
-        Self { columns, gain_column, runs, variance, gain_spread, ridge, prior: Vec::new(), folds }
+        let all = Self { columns, gain_column, runs, variance, gain_spread, ridge, prior: Vec::new(), folds };
+        all.beside_sampling()
+    }
+
+    /// The same equations with the gains of the runs taken out beside noise like this: that of the likelihood which their model was fitted under.
+    /// Beside the sampling's alone, what a form gets wrong within runs counts as often as it was sampled, and outweighs the runs' mean speeds.
+    pub fn beside(mut self, noise: Noise) -> Self {
+        let squared_speed = self.gain_column * self.columns + self.gain_column;
+        for run in &mut self.runs {
+            run.gamma = noise.gamma(run.g[squared_speed]);
+        }
+        self
+    }
+
+    /// The same with the gains taken out as far as runs that repeat each other say, beside the noise of sampling: the error that is held against chance.
+    pub fn beside_sampling(self) -> Self {
+        let noise = Noise { variance: self.variance, gain_spread: self.gain_spread };
+        self.beside(noise)
     }
 
     /// The divisions, and what the runs fitted in each would change of a model that was fitted to all: coefficients of `set`.
