@@ -35,7 +35,7 @@ pub struct Gaps {
 impl Gaps {
     /// Whether they are enough where nothing else was found beside them.
     pub fn stand_alone(&self) -> bool {
-        self.finding.gain >= LEAST_GAIN
+        is_enough(self.finding.gain, self.finding.gain_interval, Beside::Found)
     }
 }
 
@@ -108,7 +108,7 @@ pub fn find(problem: &Problem, model: &Model, beside: Beside, seed: u64) -> Opti
     let gain = held.gain();
     let p_null = (windows as f64 * (-0.5 * best_improvement).exp()).clamp(1e-6, 1.0);
     let gain_interval = held.gain_interval(seed);
-    if !is_enough(&held, beside, seed) || p_null > LARGEST_P {
+    if !is_enough(gain, gain_interval, beside) || p_null > LARGEST_P {
         return None;
     }
     let finding = Finding {
@@ -132,8 +132,8 @@ pub fn find(problem: &Problem, model: &Model, beside: Beside, seed: u64) -> Opti
 }
 
 /// Whether gaps gain enough: beside another cause's error every choice among the runs has to gain by what is little.
-fn is_enough(held: &HeldOut, beside: Beside, seed: u64) -> bool {
-    held.gain() >= LEAST_GAIN || beside == Beside::Unknown && held.gain_interval(seed)[0] > 0.0
+fn is_enough(gain: f64, gain_interval: [f64; 2], beside: Beside) -> bool {
+    gain >= LEAST_GAIN || beside == Beside::Unknown && gain_interval[0] > 0.0
 }
 
 /// Variance of a weighted residual, from the middle of the squares: gaps must not set it. Of a square of variance 1 the median is
@@ -432,7 +432,7 @@ mod tests {
         let enough = |after: [f64; 4]| {
             let pairs = after.map(|after| [1.0, after]).to_vec();
             let held = HeldOut { loss: pairs.clone(), plain: pairs, seconds: vec![1.0; 4] };
-            [Beside::Unknown, Beside::Found].map(|beside| is_enough(&held, beside, 1))
+            [Beside::Unknown, Beside::Found].map(|beside| is_enough(held.gain(), held.gain_interval(1), beside))
         };
         assert_eq!(enough([0.98; 4]), [true, false]);
         assert_eq!(enough([1.0, 1.0, 1.0, 0.92]), [false, false]);
