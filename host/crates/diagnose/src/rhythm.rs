@@ -29,9 +29,15 @@ pub fn told_apart(problem: &Problem) -> Vec<usize> {
     if far.len() < FEWEST_TOLD_APART { Vec::new() } else { far }
 }
 
-/// The power that each pair of `phased` has in the runs that tell it apart, or in all where none do.
+/// The runs that say how large a rhythm is: those that tell it apart, or all where none do.
+pub fn shown_by(problem: &Problem) -> Vec<usize> {
+    let far = told_apart(problem);
+    if far.is_empty() { (0..problem.runs.len()).collect() } else { far }
+}
+
+/// The power that each pair of `phased` has in the runs that say how large it is.
 pub fn powers(ground: &Ground, set: &Set, phased: &[Phased]) -> Vec<f64> {
-    Beside::of(ground, set, phased).powers(&told_apart(ground.problem))
+    Beside::of(ground, set, phased).powers(&shown_by(ground.problem))
 }
 
 /// The set with the coefficients of the runs that tell them apart as large as they are, and the power that they have there; the same set where
@@ -74,10 +80,9 @@ impl Beside {
         Self { runs, noise, pairs: phased.len() }
     }
 
-    /// The power of each pair in the runs `of`, or in all where these are none.
+    /// The power of each pair in the runs `of`.
     fn powers(&self, of: &[usize]) -> Vec<f64> {
-        let asked = (0..self.runs.len()).filter(|k| of.is_empty() || of.contains(k));
-        let runs: Vec<Normal> = asked.map(|k| self.runs[k].clone()).collect();
+        let runs: Vec<Normal> = of.iter().map(|k| self.runs[*k].clone()).collect();
         let mut power = vec![FIRST_POWER; self.pairs];
         for _ in 0..ROUNDS {
             let next = expected_power(&runs, 1, &power, self.noise.variance);
@@ -95,6 +100,7 @@ impl Beside {
 mod tests {
     use super::*;
     use crate::library::library;
+    use crate::observe::shorten;
     use crate::set::Part;
     use crate::{Options, starting_rotor, trial};
     use std::f64::consts::TAU;
@@ -120,5 +126,16 @@ mod tests {
         assert!(amplitudes(&set).iter().all(|a| *a < 0.045), "held back: {:?}", amplitudes(&set));
         assert!(amplitudes(&whole).iter().all(|a| (a - 0.05).abs() < 0.001), "{:?}", amplitudes(&whole));
         assert!(((2.0 * whole.weighed.powers[0]).sqrt() - 0.05).abs() < 0.001, "{:?}", whole.weighed.powers);
+    }
+
+    /// Fails if a run of less than a turn says how large a rhythm is beside others of two, by coefficients that are held back; or if none does where
+    /// all are short.
+    #[test]
+    fn short_runs_say_how_large_a_rhythm_is_where_there_are_no_others() {
+        let mut runs = trial::runs(&|_, _, _, _| 0.0);
+        shorten(&mut runs[..1], 0.5);
+        assert_eq!(shown_by(&Problem::new(runs.clone())), [1, 2, 3, 4, 5, 6, 7]);
+        shorten(&mut runs, 0.5);
+        assert_eq!(shown_by(&Problem::new(runs)).len(), 8);
     }
 }

@@ -1,12 +1,12 @@
 //! What was found, as a motor file: the refitted motor with the accepted effects in the motor model's own terms.
 
 use super::answer::Diagnosis;
-use super::formula;
 use super::library::library;
 use super::motor::{free_speed, refitted};
 use super::problem::{Model, Problem};
 use super::refit::coefficients;
 use super::rotor::{HARMONICS, P, Parameters as Rotor, placed, warm_up};
+use super::{formula, rhythm};
 use std::fmt::Write as _;
 use std::sync::Arc;
 use twum_motor::effects::info;
@@ -212,18 +212,18 @@ fn longest(problem: &Problem) -> usize {
     (0..problem.runs.len()).max_by(|a, b| turned(a).total_cmp(&turned(b))).unwrap_or(0)
 }
 
-/// Amplitudes that all runs share (root mean square) and phases of one of them; those of size 0 are left out.
+/// Amplitudes that all runs share (root mean square of those that tell them apart, or of all) and phases of one; those of size 0 are left out.
 fn harmonics(
     runs: &[&[f64]],
-    of: usize,
+    problem: &Problem,
     names: [[&'static str; 2]; HARMONICS],
     phase: &dyn Fn(f64, f64) -> f64,
 ) -> Vec<(&'static str, f64)> {
-    let mut out = Vec::new();
+    let (of, shown, mut out) = (longest(problem), rhythm::shown_by(problem), Vec::new());
     for (k, [amplitude, angle]) in names.into_iter().enumerate() {
-        let square: f64 = runs.iter().map(|c| c[2 * k].powi(2) + c[2 * k + 1].powi(2)).sum();
+        let square: f64 = shown.iter().map(|r| runs[*r][2 * k].powi(2) + runs[*r][2 * k + 1].powi(2)).sum();
         if square > 0.0 {
-            out.push((amplitude, (square / runs.len() as f64).sqrt()));
+            out.push((amplitude, (square / shown.len() as f64).sqrt()));
             out.push((angle, phase(runs[of][2 * k], runs[of][2 * k + 1])));
         }
     }
@@ -239,7 +239,7 @@ fn wheel(extended: &Model, problem: &Problem) -> Vec<(&'static str, f64)> {
         ["amplitude_4_rad", "phase_4_rad"],
     ];
     let runs: Vec<&[f64]> = extended.terms.iter().map(|t| t.eccentricity.as_slice()).collect();
-    harmonics(&runs, longest(problem), names, &|a, b| (-a).atan2(b))
+    harmonics(&runs, problem, names, &|a, b| (-a).atan2(b))
 }
 
 /// A runout as it was fitted: relative changes of speed, torque and braking, so the model's preload stays as it is.
@@ -251,7 +251,7 @@ fn runout(convert: &Conversion, extended: &Model, problem: &Problem) -> Carried 
         ["amplitude_4", "phase_4_rad"],
     ];
     let runs: Vec<&[f64]> = extended.terms.iter().map(|t| t.runout.as_slice()).collect();
-    let mut values = harmonics(&runs, longest(problem), names, &|a, b| b.atan2(a));
+    let mut values = harmonics(&runs, problem, names, &|a, b| b.atan2(a));
     let most: f64 = values.iter().filter(|v| v.0.starts_with("amplitude")).map(|v| v.1).fold(0.0, f64::max);
     let speed = extended.parameters.get(P::RunoutSpeed);
     // A change of `most` on either side, and half of it.
