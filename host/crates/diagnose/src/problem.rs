@@ -115,6 +115,12 @@ impl Problem {
         self.runs.iter().map(|r| r.windows.len() as f64).sum()
     }
 
+    /// Edges of the encoder a turn; none where the data carry speed instead.
+    pub fn edges_per_rev(&self) -> Option<u32> {
+        let pitch = self.runs.iter().map(|r| r.pitch).find(|pitch| *pitch > 0.0)?;
+        Some((TAU / pitch).round() as u32)
+    }
+
     /// Whether all runs are of closed loops.
     pub fn closed(&self) -> bool {
         self.runs.iter().all(|r| r.kind == RunKind::Track)

@@ -35,6 +35,12 @@ pub fn shown_by(problem: &Problem) -> Vec<usize> {
     if far.is_empty() { (0..problem.runs.len()).collect() } else { far }
 }
 
+/// The run that turned farthest: its phases stand for all, which start at unknown angles of the rotor.
+pub fn longest(problem: &Problem) -> usize {
+    let turned = |i: &usize| problem.runs[*i].revolutions().abs();
+    (0..problem.runs.len()).max_by(|a, b| turned(a).total_cmp(&turned(b))).unwrap_or(0)
+}
+
 /// The power that each pair of `phased` has in the runs that say how large it is.
 pub fn powers(ground: &Ground, set: &Set, phased: &[Phased]) -> Vec<f64> {
     Beside::of(ground, set, phased).powers(&shown_by(ground.problem))

@@ -191,7 +191,7 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
         "encoder-eccentricity" => wheel(extended, problem),
         "gravity-load" => {
             let torque = estimate("gravity_torque_over_inertia").ok_or(NOT_REACHED)? * inertia;
-            let [a, b] = extended.terms[longest(problem)].gravity;
+            let [a, b] = extended.terms[rhythm::longest(problem)].gravity;
             // An acceleration a·cos + b·sin is a load −J·A·sin(θ + φ).
             vec![("torque_nm", torque), ("phase_rad", (-a).atan2(-b))]
         }
@@ -206,12 +206,6 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
     })
 }
 
-/// The run that turned farthest: its phases stand for all, which start at unknown angles of the rotor.
-fn longest(problem: &Problem) -> usize {
-    let turned = |i: &usize| problem.runs[*i].revolutions().abs();
-    (0..problem.runs.len()).max_by(|a, b| turned(a).total_cmp(&turned(b))).unwrap_or(0)
-}
-
 /// Amplitudes that all runs share (root mean square of those that tell them apart, or of all) and phases of one; those of size 0 are left out.
 fn harmonics(
     runs: &[&[f64]],
@@ -219,7 +213,7 @@ fn harmonics(
     names: [[&'static str; 2]; HARMONICS],
     phase: &dyn Fn(f64, f64) -> f64,
 ) -> Vec<(&'static str, f64)> {
-    let (of, shown, mut out) = (longest(problem), rhythm::shown_by(problem), Vec::new());
+    let (of, shown, mut out) = (rhythm::longest(problem), rhythm::shown_by(problem), Vec::new());
     for (k, [amplitude, angle]) in names.into_iter().enumerate() {
         let square: f64 = shown.iter().map(|r| runs[*r][2 * k].powi(2) + runs[*r][2 * k + 1].powi(2)).sum();
         if square > 0.0 {
@@ -347,6 +341,7 @@ pub fn file(
         let _ = writeln!(text, "#   {} ({}): {}", e.name, e.status, list.join("; "));
     }
     let mut out = refitted(motor, flavour, &extended.parameters);
+    out.edges_per_rev = problem.edges_per_rev().unwrap_or(out.edges_per_rev);
     let convert = Conversion::new(&out, flavour);
     for e in diagnosis.effects.iter().filter(|e| e.status != "rejected") {
         if let Some((hypothesis, places)) = placed(&problem.formulas).find(|(h, _)| h.name == e.name) {
@@ -387,7 +382,9 @@ mod tests {
     use crate::answer::DescribedAnswer;
     use crate::finding::{Curve, Estimate, Finding, Status};
     use crate::motor::rates;
+    use crate::observe::Observed;
     use std::collections::BTreeMap;
+    use std::f64::consts::TAU;
     use twum_motor::effects::SupplySag;
     use twum_motor::motor_plant::{History, Solver};
     use twum_motor::plant::Direction;
@@ -412,7 +409,7 @@ mod tests {
         }
     }
 
-    /// Fails if a saved model does not load where a motor file does, or if its motor does not show what was found.
+    /// Fails if a saved model does not load where a motor file does, if its motor does not show what was found, or if it keeps the listed encoder.
     #[test]
     fn a_saved_model_loads_and_slows_as_found() {
         let motor = Motor::pcbmotor_30mm();
@@ -432,10 +429,11 @@ mod tests {
         .iter()
         .map(|f| super::super::answer::effect_answer(f, None))
         .collect();
-        let problem = Problem::new(Vec::new());
+        let problem = Problem::new(vec![Observed { pitch: TAU / 308.0, ..Observed::unrecorded() }]);
         let text = file(&motor, flavour, &problem.model(rotor), &problem, &diagnosis).expect("it can be written");
         let saved = Motor::parse("saved.toml", &text).expect("a saved model is a motor file");
         assert!(text.contains("Not in this file: dropped-samples"), "{text}");
+        assert_eq!(saved.edges_per_rev, 308, "its encoder is that of the data");
         let effects = saved.effects();
         assert_eq!(effects.dead_zone.map(|e| e.threshold_duty), Some(0.07));
         let SupplySag { sag, tau_s } = effects.supply_sag.expect("the sag is carried");
