@@ -382,7 +382,11 @@ fn what_was_fitted_is_what_is_saved() {
         ("high-duty-saturation", &[(P::FlatTop, 0.2)], &[("flat_top", 0.2)]),
         ("contact-stiffening", &[(P::SlipExtra, 0.6)], &[("slip_band_excess", 0.6), ("exponent", 1.0)]),
         ("direction-asymmetry", &[(P::AsymFriction, 0.2), (P::AsymBrake, 0.4)], &[("friction", 0.2), ("braking", 0.4)]),
-        ("clock-error", &[(P::ClockError, 0.01), (P::ClockDrift, 0.002)], &[("error", 0.01), ("drift_per_s", 0.002)]),
+        (
+            "clock-error",
+            &[(P::ClockError, 0.01), (P::ClockDrift, 0.002), (P::ClockTau, 1.5)],
+            &[("error", 0.01), ("drift_per_s", 0.002), ("drift_tau_s", 1.5)],
+        ),
         ("reversal-miscount", &[(P::Miscount, 1.0), (P::MiscountDrift, -2.0)], &[("counts", 1.0), ("drift", -2.0)]),
         ("unequal-edges", &[(P::EdgeOffset, 0.1)], &[("offset", -0.1)]),
         ("supply-sag", &[(P::Sag, 0.1), (P::SagTime, 0.03)], &[("tau_s", 0.03)]),

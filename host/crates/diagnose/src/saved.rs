@@ -149,7 +149,9 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
         "contact-stiffening" => vec![("slip_band_excess", of(P::SlipExtra))],
         // High slots are narrower where the edge that begins them is late.
         "unequal-edges" => vec![("offset", -of(P::EdgeOffset))],
-        "clock-error" => vec![("error", of(P::ClockError)), ("drift_per_s", of(P::ClockDrift))],
+        "clock-error" => {
+            vec![("error", of(P::ClockError)), ("drift_per_s", of(P::ClockDrift)), ("drift_tau_s", of(P::ClockTau))]
+        }
         "backlash" => vec![("gap_rad", of(P::Backlash))],
         "reversal-miscount" => vec![("counts", of(P::Miscount)), ("drift", of(P::MiscountDrift))],
         "stribeck-friction" => {

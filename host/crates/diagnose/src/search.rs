@@ -58,12 +58,7 @@ impl Ground<'_> {
         if hardened {
             self.soft_contact(baseline, &mut pool);
         }
-        let at_lines: Vec<Model> = self.lines().map(|error| with_clock(&pool[0].model, error)).collect();
-        for model in clock.into_iter().chain(&at_lines) {
-            if let Some(set) = self.wrong_clock(model, &pool[0]) {
-                self.put(set, &mut pool);
-            }
-        }
+        self.wrong_clocks(clock, &mut pool);
         // Which motor it is may have been answered wrongly for want of an effect: they are looked for around both.
         let other = self.of_the_file(&mut pool);
         self.expand(&other, &self.usable, TRIED, true, &mut pool);
@@ -236,26 +231,6 @@ impl Ground<'_> {
         self.put(self.weigh_set(parts, model, Some(&pool[0])), pool);
     }
 
-    /// Clock errors at which the PWM's line stands: a linear look from no error does not get as far as half a period of drift.
-    fn lines(&self) -> impl Iterator<Item = f64> {
-        let forms = self.usable.iter().flat_map(|e| &self.effects[*e].forms);
-        let sizes = forms.filter(|f| f.sizes.len() == 1).map(|f| &f.sizes[0]);
-        sizes.filter(|s| s.parameter == P::ClockError && s.step.abs() >= s.scale).map(|s| s.step)
-    }
-
-    /// The set of a clock error alone, from a motor that was refitted beside it, in the form that is meant for so large a one.
-    fn wrong_clock(&self, model: &Model, root: &Set) -> Option<Set> {
-        let error = model.parameters.get(P::ClockError).abs();
-        let of_error = |f: &Form| f.sizes.len() == 1 && f.sizes[0].parameter == P::ClockError;
-        let far = |f: &Form| (f.sizes[0].scale / error.max(1e-9)).ln().abs();
-        let forms =
-            self.usable.iter().flat_map(|e| self.effects[*e].forms.iter().enumerate().map(move |(k, f)| (*e, k, f)));
-        let (effect, form, spec) = forms.filter(|f| of_error(f.2)).min_by(|a, b| far(a.2).total_cmp(&far(b.2)))?;
-        let parts = vec![Part { effect, form, free: free_of(spec), phased: Vec::new() }];
-        let model = self.refitted(model.clone(), &parts, self.noise(root), 8);
-        Some(self.weigh_set(parts, model, Some(root)))
-    }
-
     /// A better baseline, where a set without its effects leads to one: the refit had stopped in another valley. What was found stays, refitted
     /// and weighed beside the new one, and what shows beside that joins it.
     fn reseat(&self, pool: &mut Vec<Set>) {
@@ -344,11 +319,11 @@ impl Ground<'_> {
         }
     }
 
-    /// The best set with effects in forms that have further sizes beside those they have now. No linear look leads there from where the effect was
+    /// The best set with effects in forms that have further numbers beside those they have now. No linear look leads there from where the effect was
     /// not: a clock that drifts is found from one that errs by as much all along.
     fn extend_forms(&self, pool: &mut Vec<Set>) {
         let leader = best(pool).clone();
-        let mut wider: Vec<Vec<Part>> = Vec::new();
+        let mut wider: Vec<(Vec<Part>, Model)> = Vec::new();
         for (k, part) in leader.parts.iter().enumerate() {
             let forms = &self.effects[part.effect].forms;
             let mut seen: Vec<&Form> = Vec::new();
@@ -357,13 +332,17 @@ impl Ground<'_> {
                     seen.push(spec);
                     let mut parts = leader.parts.clone();
                     parts[k] = Part { form, free: free_of(spec), ..part.clone() };
-                    wider.push(parts);
+                    let mut model = leader.model.clone();
+                    for s in spec.shapes.iter().filter(|s| !part.changes(s.parameter)) {
+                        model.parameters.set(s.parameter, s.start);
+                    }
+                    wider.push((parts, model));
                 }
             }
         }
         let noise = self.noise(&leader);
-        let refitted = |parts: Vec<Part>| {
-            let model = self.refitted(leader.model.clone(), &parts, noise, 8);
+        let refitted = |(parts, model): (Vec<Part>, Model)| {
+            let model = self.refitted(model, &parts, noise, 8);
             self.weigh_set(parts, model, Some(&pool[0]))
         };
         let wider = wider.into_par_iter().map(refitted).collect();
@@ -488,10 +467,6 @@ impl Ground<'_> {
             }
         }
     }
-}
-
-fn with_clock(model: &Model, error: f64) -> Model {
-    Model { parameters: model.parameters.with(P::ClockError, error), terms: model.terms.clone() }
 }
 
 /// The best of a pool, which is never without its root.

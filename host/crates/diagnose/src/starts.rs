@@ -1,10 +1,11 @@
-//! Sets that no linear look from the baseline leads to: effects as large as is plausible, and pairs of them, with the motor refitted beside them.
+//! Sets that no linear look from the baseline leads to: clocks that err by periods of the PWM, effects as large as is plausible, and pairs of them,
+//! with the motor refitted beside them.
 
 use super::baseline::at_speed;
 use super::candidate::free_of;
 use super::ground::Ground;
 use super::library::Form;
-use super::problem::Problem;
+use super::problem::{Model, Problem};
 use super::rotor::{P, Parameters};
 use super::search::{FEW_STEPS, TRIED};
 use super::set::{Part, Set};
@@ -22,6 +23,41 @@ struct Start {
 }
 
 impl Ground<'_> {
+    /// A clock error from the motor that was refitted beside a wrong `clock`, and from where the PWM's line stands.
+    pub(super) fn wrong_clocks(&self, clock: Option<&Model>, pool: &mut Vec<Set>) {
+        let at = |error: f64| {
+            let Model { parameters, terms } = &pool[0].model;
+            Model { parameters: parameters.with(P::ClockError, error), terms: terms.clone() }
+        };
+        let at_lines: Vec<Model> = self.lines().map(at).collect();
+        for model in clock.into_iter().chain(&at_lines) {
+            if let Some(set) = self.wrong_clock(model, &pool[0]) {
+                self.put(set, pool);
+            }
+        }
+    }
+
+    /// Clock errors at which the PWM's line stands: a linear look from no error does not get as far as half a period of drift.
+    fn lines(&self) -> impl Iterator<Item = f64> {
+        let forms = self.usable.iter().flat_map(|e| &self.effects[*e].forms);
+        let sizes = forms.filter(|f| f.sizes.len() == 1).map(|f| &f.sizes[0]);
+        sizes.filter(|s| s.parameter == P::ClockError && s.step.abs() >= s.scale).map(|s| s.step)
+    }
+
+    /// The set of a clock error alone, from a motor that was refitted beside it, in the form that is meant for so large a one.
+    fn wrong_clock(&self, model: &Model, root: &Set) -> Option<Set> {
+        let error = model.parameters.get(P::ClockError).abs();
+        let sizes = if model.parameters.get(P::ClockDrift) == 0.0 { 1 } else { 2 };
+        let of_error = |f: &Form| f.numbers().count() == sizes && f.sizes[0].parameter == P::ClockError;
+        let far = |f: &Form| (f.sizes[0].scale / error.max(1e-9)).ln().abs();
+        let forms =
+            self.usable.iter().flat_map(|e| self.effects[*e].forms.iter().enumerate().map(move |(k, f)| (*e, k, f)));
+        let (effect, form, spec) = forms.filter(|f| of_error(f.2)).min_by(|a, b| far(a.2).total_cmp(&far(b.2)))?;
+        let parts = vec![Part { effect, form, free: free_of(spec), phased: Vec::new() }];
+        let model = self.refitted(model.clone(), &parts, self.noise(root), 8);
+        Some(self.weigh_set(parts, model, Some(root)))
+    }
+
     /// Effects that do most alone where they are as large as is plausible and the motor is refitted beside them, to a few of the runs: what the
     /// baseline's refit has taken up of an effect, no look around that baseline shows.
     pub(super) fn each_alone(&self, other: &Set, pool: &mut Vec<Set>) {

@@ -364,12 +364,14 @@ effects! {
         /// Shift of the odd edges, in pitches (1).
         offset: "1", Linear, [-0.9, 0.9], 0.0, 0.1;
     }
-    /// The recorder's clock is off: recorded time = t·(1 + error + drift·t/2).
+    /// The recorder's clock is off: recorded time = t·(1 + error + drift·t/2), or with a drift that dies away as exp(−t/tau).
     clock_error: ClockError, "clock-error", Sensor {
         /// Relative error (1).
         error: "1", Linear, [-0.2, 0.2], 0.0, 5e-3;
         /// Change of the error (1/s); it ends where the error would reach a half.
         drift_per_s: "1/s", Linear, [-0.05, 0.05], 0.0, 0.0;
+        /// Time constant with which the change dies away (s); 0: it does not.
+        drift_tau_s: "s", Scale, [0.0, 10.0], 0.0, 0.0;
     }
     /// Stretches of the record are lost and what follows moves up: `length_s` missing at `first_s` and every `every_s` after
     /// (in the recorder's time; 0 means once).

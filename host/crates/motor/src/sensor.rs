@@ -161,10 +161,14 @@ pub fn record(edges: &mut Vec<Edge>, end_s: f64, effects: &EffectSet) -> f64 {
     if let Some(e) = effects.clock_error {
         // Beyond the time at which a drifting clock would be half wrong it stays so: time must go on.
         let settled = if e.drift_per_s == 0.0 { f64::INFINITY } else { 0.5 / e.drift_per_s.abs() };
-        let recorded = |t: f64| {
+        let grown = |t: f64| {
+            if e.drift_tau_s > 0.0 {
+                return e.drift_tau_s * (t + e.drift_tau_s * (-t / e.drift_tau_s).exp_m1());
+            }
             let drifting = t.min(settled);
-            t * (1.0 + e.error) + e.drift_per_s * drifting * (t - 0.5 * drifting)
+            drifting * (t - 0.5 * drifting)
         };
+        let recorded = |t: f64| t * (1.0 + e.error) + e.drift_per_s * grown(t);
         for edge in edges.iter_mut() {
             edge.time_s = recorded(edge.time_s);
         }

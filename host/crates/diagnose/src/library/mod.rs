@@ -314,14 +314,16 @@ impl Form {
             || self.phased != other.phased
     }
 
-    /// Whether it has the sizes of another one and further ones, with the same shapes and phases.
+    /// Whether it has the sizes and the shapes of another one and further ones, with the same phases.
     pub fn extends(&self, other: &Self) -> bool {
-        let has = |parameter: P| self.sizes.iter().any(|s| s.parameter == parameter);
-        let shapes = |f: &Self| f.shapes.iter().map(|s| s.parameter).collect::<Vec<_>>();
-        self.sizes.len() > other.sizes.len()
-            && other.sizes.iter().all(|s| has(s.parameter))
-            && shapes(self) == shapes(other)
-            && self.phased == other.phased
+        let numbers = |f: &Self| f.numbers().collect::<Vec<P>>();
+        let [own, others] = [numbers(self), numbers(other)];
+        own.len() > others.len() && others.iter().all(|p| own.contains(p)) && self.phased == other.phased
+    }
+
+    /// What its sizes and its shapes are.
+    pub fn numbers(&self) -> impl Iterator<Item = P> {
+        self.sizes.iter().map(|s| s.parameter).chain(self.shapes.iter().map(|s| s.parameter))
     }
 
     /// Its sizes as columns of a design.
@@ -400,14 +402,16 @@ pub fn not_judged(effect: &Effect, problem: &Problem) -> Option<String> {
 mod tests {
     use super::*;
 
-    /// Fails if a form extends itself, one that has a size that it has not, or one of another shape.
+    /// Fails if a form extends itself, one that has a number that it has not, or none that has its sizes and no shape.
     #[test]
-    fn a_form_extends_those_whose_sizes_are_among_its_own() {
+    fn a_form_extends_those_whose_numbers_are_among_its_own() {
         let [speed, friction] = [P::AsymSpeed, P::AsymFriction].map(|p| one(p, 0.1, 0.01, (-1.0, 1.0)));
         let mut both = speed.clone();
         both.sizes.extend(friction.sizes.clone());
         assert!(both.extends(&speed) && both.extends(&friction));
         assert!(!speed.extends(&both) && !speed.extends(&friction) && !both.extends(&both));
+        let shaped = both.clone().shaped(P::ClockTau, 1.0, LogNormal { median: 1.0, log_sd: 1.0 }, (0.1, 10.0));
+        assert!(shaped.extends(&both) && shaped.extends(&speed) && !both.extends(&shaped));
         assert!(!both.extends(&speed.pinned(P::SettleOnTime, 1.0)));
     }
 

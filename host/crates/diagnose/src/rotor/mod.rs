@@ -7,6 +7,7 @@
 //!
 //! Everything an effect of the library can change is a parameter here, with the value 0 for "absent".
 
+mod clock;
 mod motion;
 mod parameters;
 mod schedule;

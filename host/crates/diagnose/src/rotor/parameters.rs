@@ -105,8 +105,10 @@ pub enum P {
     BendPower,
     /// `high-duty-saturation`: what of the duty beyond 1 − `FlatFrom` is lost.
     FlatTop,
-    /// `clock-error`: change of the clock's relative error a second.
+    /// `clock-error`: change of the clock's relative error a second, at first.
     ClockDrift,
+    /// `clock-error`: time constant in s with which that change dies away (0: it does not).
+    ClockTau,
     /// `frequency-settling`: 1 where it counts the time of the drive, 0 where it counts time.
     SettleOnTime,
     /// `off-phase-braking`: share of the friction without a wave that is missing.
@@ -153,7 +155,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 69] = [
+    pub const ALL: [P; 70] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -202,6 +204,7 @@ impl P {
         P::BendPower,
         P::FlatTop,
         P::ClockDrift,
+        P::ClockTau,
         P::SettleOnTime,
         P::OffLoss,
         P::RunoutSpeed,

@@ -1,5 +1,6 @@
 //! A run, stepped from event to event.
 
+use super::clock::driven_s;
 use super::motion::{Piece, Pull, off_piece, on_piece};
 use super::parameters::{harmonics, placed};
 use super::warming::Warming;
@@ -27,15 +28,6 @@ pub struct RunInput<'a> {
     pub revolutions: f64,
     /// Effects that are formulas; their numbers are among the parameters.
     pub formulas: &'a [Arc<Hypothesis>],
-}
-
-impl RunInput<'_> {
-    /// The time of the drive at which something was recorded, in s.
-    fn driven_s(&self, recorded_s: f64, p: &Parameters) -> f64 {
-        let since = recorded_s - p.get(P::Latency);
-        // t_recorded = (1 + ε + drift·t/2)·t, solved to first order in the drift.
-        since / (1.0 + p.get(P::ClockError) + 0.5 * p.get(P::ClockDrift) * since)
-    }
 }
 
 /// Longest steps in s: of anything, and of what hangs on the angle.
@@ -102,7 +94,7 @@ pub fn simulate(input: &RunInput, p: &Parameters, terms: &RunTerms) -> Trajector
     match Warming::of(input, p).filter(|_| simulation().is_steady()) {
         Some(warming) => {
             let at = |warmth: f64| Simulation { held: true, warmth, ..simulation() }.run();
-            warming.between(input.times.iter().map(|t| input.driven_s(*t, p)), &warming.ends().map(at))
+            warming.between(input.times.iter().map(|t| driven_s(*t, p)), &warming.ends().map(at))
         }
         None => period_by_period(input, p, terms),
     }
@@ -152,7 +144,7 @@ struct Simulation<'a> {
 
 impl<'a> Simulation<'a> {
     fn new(input: &'a RunInput, p: &'a Parameters, terms: &'a RunTerms) -> Self {
-        let driven = |t: f64| input.driven_s(t, p);
+        let driven = |t: f64| driven_s(t, p);
         let half = input.half_sample_s;
         // Asked for on both sides of every time; put together at the end.
         let asked: Vec<f64> = if half > 0.0 {
