@@ -7,7 +7,7 @@ use super::baseline::{as_listed, at_speed, valleys};
 use super::candidate::{LEAST_LOOK, free_of};
 use super::cycles::cycles;
 use super::discrepancy::FREE_FORM_COST;
-use super::form_error::FormError;
+use super::form_error::{FORM_ERROR, FormError};
 use super::ground::Ground;
 use super::library::{Coordinate, Form};
 use super::problem::Model;
@@ -120,9 +120,12 @@ impl Ground<'_> {
         }
     }
 
-    /// Weighs all sets anew where the best leaves less than was counted as error of the forms; whether it did.
+    /// Weighs all sets anew where the best leaves less than was counted as error of the forms, or what has one is less; whether it did.
     fn bound_form(&mut self, pool: &mut Vec<Set>) -> bool {
-        let left = best(pool).weighed.left;
+        let leader = best(pool);
+        let exact: Vec<usize> = leader.key().into_iter().filter(|e| self.effects[*e].is_exact()).collect();
+        let beside_exact = pool.iter().find(|s| s.key() == exact).unwrap_or(&pool[0]);
+        let left = leader.weighed.left.min(FORM_ERROR * beside_exact.weighed.left);
         if left > LEAST_SHRUNK * self.form_error.of(pool[0].weighed.left) {
             return false;
         }

@@ -350,6 +350,11 @@ impl Effect {
             || other.conflicts.contains(&self.name.as_ref())
     }
 
+    /// Whether it does what the library says and nothing else: it is the recorder's arithmetic, or the wheel's, and not the motor's.
+    pub fn is_exact(&self) -> bool {
+        matches!(self.coordinate, Coordinate::Clock | Coordinate::Slots)
+    }
+
     /// Whether it acts in these runs, and they have too few duties to judge it by.
     pub fn acts_unseen(&self, problem: &Problem) -> bool {
         self.needs.contains(&Need::ThreeDuties) && not_judged(self, problem).is_some()
