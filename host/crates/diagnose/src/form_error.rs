@@ -3,7 +3,8 @@
 /// Share of the squared error without effects below which no form is trusted.
 pub const FORM_ERROR: f64 = 0.06;
 
-/// What counts as error of the forms: a share of what is left without effects, and no more than the best set leaves at all.
+/// What counts as error of the forms: a share of what is left without effects, and no more than the best set leaves at all, or than that share of what is
+/// left beside effects that have no form to be wrong.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FormError {
     most: f64,
@@ -13,7 +14,7 @@ impl FormError {
     /// Before any set is known.
     pub const UNBOUNDED: Self = Self { most: f64::INFINITY };
 
-    /// Where the best set leaves this much.
+    /// Where it is bounded by this much.
     pub fn no_more_than(left: f64) -> Self {
         Self { most: left }
     }
