@@ -22,7 +22,11 @@ pub(super) fn effect(lines: &[f64]) -> Effect {
         equation: "t_recorded = (1 + ε + d·t/2)·t, or with d·exp(−t/τ)".into(),
         coordinate: Coordinate::Clock,
         needs: &[Need::PulsedDrive, Need::Edges],
-        forms: [2e-5].iter().chain(lines).flat_map(|e| [error(*e), drifting(*e), warming(*e)]).collect(),
+        // How a drift goes on shows where it has moved the line.
+        forms: [error(2e-5), drifting(2e-5)]
+            .into_iter()
+            .chain(lines.iter().flat_map(|e| [error(*e), drifting(*e), warming(*e)]))
+            .collect(),
         reported: vec![
             reported("relative_clock_error", "1", P::ClockError),
             reported("clock_drift_per_s", "1/s", P::ClockDrift),
