@@ -1,20 +1,15 @@
 //! Data sets of the generators on which the diagnosis once fell short.
 
 use twum_host::diagnose::answer::{Diagnosis, Verdict};
-use twum_tests::suite::make;
-use twum_tests::truth::{Kind, Request};
+use twum_tests::suite::Case;
+use twum_tests::truth::Kind;
 
 /// The answer of the command on one of the generators' data sets.
 fn of_a_case(generator: &str, kind: Kind, seed: u64) -> Diagnosis {
-    of_a_request(generator, seed, &Request::of(kind))
-}
-
-/// The same of what is asked for by name.
-fn of_a_request(generator: &str, seed: u64, request: &Request) -> Diagnosis {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let at = folder.path().join("data");
-    let made = make(generator, seed, request, false).expect("it can be made");
-    made.write(&at).expect("the folder can be written");
+    let case = Case { generator: generator.to_owned(), kind, seed };
+    case.make().expect("it can be made").write(&at).expect("the folder can be written");
     super::answer(&at)
 }
 
@@ -151,15 +146,6 @@ fn thorough_what_stands_beside_a_clock_is_found() {
     assert_eq!(delayed.named(), ["clock-error"]);
     assert!(delayed.suspected().contains(&"start-delay"), "{:?}", delayed.suspected());
     assert_eq!(of_a_case("e", Kind::Pair, 552).named(), ["clock-error", "duty-quantisation"]);
-}
-
-/// A clock that errs by some per cent and drifts by some more. Fails if words that are found to be lost beside it stay lost where more is left with
-/// them put back than before: they were named.
-#[test]
-#[ignore = "takes long: .ci/run thorough"]
-fn thorough_what_a_clock_drifts_by_is_not_taken_for_lost_words() {
-    let clock = Request { effects: vec!["clock-error".to_owned()], rho: Some(5.0), ..Request::of(Kind::Single) };
-    assert_eq!(of_a_request("c", 24_001, &clock).named(), ["clock-error"]);
 }
 
 /// Half of the friction is gone in a warm motor. Fails if warmth changes the speed alone: the friction that is left over the order of the runs was

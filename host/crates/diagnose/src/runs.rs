@@ -72,13 +72,10 @@ pub fn diagnose_runs(
         (_, Some(found)) => lost(problem, found, Beside::Found, settings).map(|gaps| Some(Shifted::Lost(gaps))),
     };
     if let Some(again) = again {
-        let (repaired, baseline) = compare(&again);
-        let (beside, terms_beside) = searched(&repaired, baseline, &again);
-        // Words that were not missed before are, only where they leave less once all else is refitted beside them.
-        let new = matches!((&moved, &again), (None | Some(Shifted::Clock(_)), Some(Shifted::Lost(_))));
-        if !new || beside[0].weighed.left < sets[0].weighed.left {
-            (moved, compared, sets, terms) = (again, repaired, beside, terms_beside);
-        }
+        moved = again;
+        let baseline;
+        (compared, baseline) = compare(&moved);
+        (sets, terms) = searched(&compared, baseline, &moved);
     }
     progress("measuring what was found", 0.85);
     let ground = Ground { terms, ..Ground::new(&compared, home.clone(), &effects, usable) };
@@ -137,7 +134,7 @@ fn lost(problem: &Problem, model: &Model, beside: Beside, settings: &Settings) -
     asked.then(|| gaps::find(problem, model, beside, settings.seed)).flatten().map(Box::new)
 }
 
-/// Steps in which a clock is fitted together with the motor, and again as one that drifts: it begins within a line's width of where it ends.
+/// Steps in which a clock is fitted together with the motor: it begins within a line's width of where it ends.
 const CLOCK_STEPS: usize = 6;
 
 /// A wrong clock that does as well as lost samples: both move the PWM line. The motor is refitted beside either, because what it was fitted
@@ -153,9 +150,7 @@ fn clock_instead(problem: &Problem, baseline: &Model, home: &Parameters, gaps: &
         free.retain(|own| own.parameter != P::ClockError);
         free.push(Free { parameter: P::ClockError, scale: 1e-3, bounds, prior: Prior::Flat });
         let noise = first_noise(problem, &model, rows as f64);
-        let steady = refit(problem, model, &free, &[], noise, CLOCK_STEPS);
-        free.push(Free { parameter: P::ClockDrift, scale: 1e-3, bounds, prior: Prior::Flat });
-        refit(problem, steady, &free, &[], noise, CLOCK_STEPS)
+        refit(problem, model, &free, &[], noise, CLOCK_STEPS)
     };
     // Near nothing the line may not part from its place.
     let at = |error: f64| {

@@ -47,8 +47,7 @@ impl Ground<'_> {
     /// The set of a clock error alone, from a motor that was refitted beside it, in the form that is meant for so large a one.
     fn wrong_clock(&self, model: &Model, root: &Set) -> Option<Set> {
         let error = model.parameters.get(P::ClockError).abs();
-        let sizes = if model.parameters.get(P::ClockDrift) == 0.0 { 1 } else { 2 };
-        let of_error = |f: &Form| f.numbers().count() == sizes && f.sizes[0].parameter == P::ClockError;
+        let of_error = |f: &Form| f.sizes.len() == 1 && f.sizes[0].parameter == P::ClockError;
         let far = |f: &Form| (f.sizes[0].scale / error.max(1e-9)).ln().abs();
         let forms =
             self.usable.iter().flat_map(|e| self.effects[*e].forms.iter().enumerate().map(move |(k, f)| (*e, k, f)));

@@ -322,7 +322,7 @@ impl Form {
     }
 
     /// What its sizes and its shapes are.
-    pub fn numbers(&self) -> impl Iterator<Item = P> {
+    fn numbers(&self) -> impl Iterator<Item = P> {
         self.sizes.iter().map(|s| s.parameter).chain(self.shapes.iter().map(|s| s.parameter))
     }
 
