@@ -263,15 +263,18 @@ fn makers_of(courses: &[Course], effects: &[usize], background: &Background) -> 
     same.map(makers).find(|makers: &Vec<usize>| !makers.is_empty()).unwrap_or_default()
 }
 
-/// Named effects with what looks like them and is behind by no more than forms differ: rivals, whatever the probabilities.
+/// Named effects with what looks like them in the best set that does without, where it is behind by no more than forms differ: rivals, whatever the
+/// probabilities.
 fn close_rivals(sets: &[Visited], named: &[usize], background: &Background) -> Vec<(usize, usize)> {
-    let near = |e: usize| {
-        let without =
-            sets.iter().filter(move |s| s.score > sets[0].score - background.clear_lead && !s.key.contains(&e));
-        without.flat_map(|s| s.key.iter().copied()).map(move |rival| (e, rival))
+    let instead = |e: usize| {
+        let near = |s: &&Visited| s.score > sets[0].score - background.clear_lead && !s.key.contains(&e);
+        let rivals = |s: &Visited| {
+            let alike = s.key.iter().copied().filter(|o| !named.contains(o) && (background.alike)(e, *o));
+            alike.map(|rival| (e, rival)).collect::<Vec<_>>()
+        };
+        sets.iter().filter(near).map(rivals).find(|rivals| !rivals.is_empty()).unwrap_or_default()
     };
-    let pairs = named.iter().flat_map(|e| near(*e));
-    pairs.filter(|(e, rival)| e != rival && (background.alike)(*e, *rival) && !named.contains(rival)).collect()
+    named.iter().flat_map(|e| instead(*e)).collect()
 }
 
 /// Named effects without which others that look like them, named beside them, are behind by no more than forms differ: what they explain may be a
@@ -389,6 +392,22 @@ mod tests {
         assert_eq!((of(1, 0.9 * ALIKE).named, of(1, 0.9 * ALIKE).one_of), (vec![], vec![vec![0, 1]]));
         assert_eq!(of(1, 1.1 * ALIKE).named, [0]);
         assert_eq!(of(2, 0.9 * ALIKE).named, [0]);
+    }
+
+    /// Fails if what would be there in an effect's place is no longer told from what does worse than that.
+    #[test]
+    fn the_rivals_are_those_of_the_best_set_without() {
+        let background = Background {
+            temperature: 1.0,
+            alike: &|_, _| true,
+            clear_lead: ALIKE,
+            most_of_a_course: MOST_OF_A_COURSE,
+            within_runs: &|_| false,
+            makes_course: &|_, _| false,
+        };
+        let behind = |effects: &[usize], share: f64| set(effects, 200.0 - share * ALIKE, 1.0);
+        let sets = [behind(&[0], 0.0), behind(&[1, 2], 0.3), behind(&[3], 0.6), set(&[], 0.0, 9.0)];
+        assert_eq!(judge(&sets, &sets[3], &background).one_of, [vec![0, 1, 2]]);
     }
 
     /// Fails if what takes up the error of another's form is named beside it, if that other loses its name with it, or if what does not look like it
