@@ -26,6 +26,8 @@ const WIDEST_BAND: f64 = 1.0;
 const CLOCK: f64 = 5e-5;
 /// Delay of a record behind the drive: a sample or two of a millisecond.
 const LATENCY_S: f64 = 2e-3;
+/// Pitches by which a comparator behind the wheel hangs back: little where its signal is clean, no whole one, or it would not switch.
+pub const HYSTERESIS: LogNormal = LogNormal { median: 0.05, log_sd: 1.0 };
 /// Time in s in which another motor's wave builds up and dies away: from a tenth of a millisecond to some, by the quality of its resonance.
 const OTHER_WAVE_S: LogNormal = LogNormal { median: 7e-4, log_sd: 1.0 };
 /// A wave dies as it builds up: both are set by the stator's own damping. The contact changes that by a third.
@@ -92,6 +94,7 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
         positive(P::SlipBand, 1e-3, (1e-3, widest_own_band(home)), either(band, HARDLY_SEEN.log_sd, OTHER_BAND)),
         normal(P::ClockError, CLOCK, 20.0),
         normal(P::Latency, LATENCY_S, 5.0),
+        positive(P::Hysteresis, 0.01, (1e-3, 1.0), HYSTERESIS),
         positive(
             P::WaveTime,
             0.05 * wave_s,

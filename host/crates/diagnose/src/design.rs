@@ -256,7 +256,7 @@ impl<'a> Linearised<'a> {
         let Surroundings { terms, now } = around;
         let here = &self.model.parameters;
         let moves = |which: P| p.get(which) != here.get(which);
-        if [P::EdgeOffset, P::Backlash, P::Miscount, P::MiscountDrift].into_iter().any(moves) {
+        if [P::EdgeOffset, P::Backlash, P::Miscount, P::MiscountDrift, P::Hysteresis].into_iter().any(moves) {
             return self.problem.compared(i, now.trajectory.clone(), p, terms);
         }
         if [P::Latency, P::ClockError].into_iter().any(moves) {

@@ -10,9 +10,9 @@ use super::library::{Coordinate, Effect, Phased};
 use super::observe::Observed;
 use super::problem::{Model, Problem};
 use super::refit::{Free, columns_of, objective, refit};
-use super::rotor::{P, Parameters};
+use super::rotor::Parameters;
 use super::set::{Part, Set};
-use super::timing::{FIRST_REST_S, STEP_S, TIMING, TIMING_S, alike};
+use super::timing::{STEP_S, TIMING, TIMING_S, alike};
 use twum_fit::noise::Noise;
 
 /// What a search works on.
@@ -99,7 +99,7 @@ impl<'a> Ground<'a> {
     pub(super) fn columns(&self, model: &Model, parts: &[Part]) -> (Vec<Column>, Question) {
         let free = self.free(model, parts);
         let mut columns = columns_of(&free);
-        let mut common: Vec<(usize, f64)> = free
+        let common: Vec<(usize, f64)> = free
             .iter()
             .enumerate()
             .skip(1)
@@ -114,17 +114,14 @@ impl<'a> Ground<'a> {
         }
         let (mut by_kind, mut kinds) = (Vec::new(), Vec::new());
         if self.problem.pulsed() {
-            let late = |parameter, shape| Column::Scalar { parameter, scale: TIMING_S, step: STEP_S, shape };
             by_kind.extend(TIMING.map(|parameter| match free.iter().position(|f| f.parameter == parameter) {
                 Some(column) => (column, TIMING_S / free[column].scale),
                 None => {
-                    columns.push(late(parameter, Vec::new()));
+                    columns.push(Column::Scalar { parameter, scale: TIMING_S, step: STEP_S, shape: Vec::new() });
                     (columns.len() - 1, 1.0)
                 }
             }));
             kinds.extend(alike(self.problem.runs.iter().map(|r| r.duty)));
-            common.push((columns.len(), 1.0));
-            columns.push(late(P::StartDelay, vec![(P::DelayRest, FIRST_REST_S)]));
         }
         (columns, Question { common, by_kind, kinds, own })
     }

@@ -325,6 +325,7 @@ pub fn starting_rotor(runs: &[Observed], options: &Options) -> Parameters {
         .with(P::Dying, baseline::DYING.median)
         .with(P::Lift, baseline::LIFT.median)
         .with(P::Ahead, baseline::AHEAD.median)
+        .with(P::Hysteresis, baseline::HYSTERESIS.median)
 }
 
 /// Friction of the motor file that the runs do not bear out.

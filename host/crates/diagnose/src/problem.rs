@@ -242,6 +242,7 @@ impl Problem {
         let backlash = p.get(P::Backlash);
         let miscount = p.get(P::Miscount);
         let drift = p.get(P::MiscountDrift);
+        let first = 1.0 + p.get(P::Hysteresis);
         for w in &run.windows {
             let exact = w.low == w.high;
             let of = if exact { &shown } else { angle.as_slice() };
@@ -253,7 +254,9 @@ impl Problem {
                     advance += (sign * miscount + drift) * run.pitch - sign * backlash;
                 }
             }
-            let measured = advance.clamp(w.low, w.high);
+            // Up to the first edge the rotor turned a pitch at most, and by how much the comparator hangs back.
+            let most = if !exact && w.from == 0 { first } else { 1.0 };
+            let measured = advance.clamp(most * w.low, most * w.high);
             let dt = run.duration(w).max(1e-6);
             rpm.push((measured - advance) / dt * RPM);
             predicted.push(advance / dt * RPM);
@@ -288,5 +291,35 @@ mod tests {
         let few = Problem::new(vec![run(2), run(1)]);
         let own = problem.of_the_runs_of(&few, &model).terms;
         assert_eq!(own.iter().map(|t| t.runout[0]).collect::<Vec<_>>(), [2.0, 1.0]);
+    }
+
+    /// Fails if a rotor that starts the other way, whose first edge comes up to a pitch late by the comparator's hysteresis, is said to have been
+    /// slow until then.
+    #[test]
+    fn a_comparator_that_hangs_back_makes_no_rotor_slow() {
+        let (speed, hysteresis) = (2.0, 0.35_f64);
+        for (direction, start) in [1.0, -1.0].into_iter().flat_map(|d| (0..20).map(move |k| (d, 0.05 * f64::from(k)))) {
+            let mut run = Observed { direction, ..Observed::unrecorded() };
+            // In pitches; the level is a sine's, whose sign it takes once the sine is beyond the threshold.
+            let pitch = run.pitch;
+            let at = |t: f64| start + direction * speed * t / pitch;
+            let sine = |t: f64| (std::f64::consts::PI * at(t)).sin();
+            let threshold = (0.5 * std::f64::consts::PI * hysteresis).sin();
+            let initial = sine(0.0) > 0.0;
+            let (mut level, mut edges) = (initial, Vec::new());
+            for t in (1..50_000).map(|k| 1e-5 * f64::from(k)) {
+                if (if level { -sine(t) } else { sine(t) }) > threshold {
+                    level = !level;
+                    edges.push((t, level));
+                }
+            }
+            run.put_edges(&edges, initial, 0.0, 0.5);
+            let angle = run.times.iter().map(|t| (at(*t) - start) * pitch).collect();
+            let problem = Problem::new(vec![run]);
+            let p = Parameters::new(3.6, 1900.0, 1900.0, 0.3, 0.02).with(P::Hysteresis, hysteresis);
+            let seen = problem.compared(0, Trajectory { angle, ..Trajectory::default() }, &p, &RunTerms::default());
+            let worst = seen.rpm.iter().map(|rpm| rpm.abs()).fold(0.0, f64::max);
+            assert!(worst < 0.1, "{direction} from {start}: {worst} rpm of {:.0}", speed * RPM);
+        }
     }
 }

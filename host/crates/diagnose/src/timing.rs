@@ -9,10 +9,6 @@ pub const TIMING: [P; 2] = [P::StartDelay, P::Latency];
 /// out, and move it by 0.1 to 0.2 ms (generator E's motors without an effect).
 pub const TIMING_S: f64 = 1.5e-4;
 
-/// A rest in s beside which the pauses between pulses are none: late by so long a one is the first pulse of a run, in which the rotor leaves where it
-/// has lain. It is believed to as much as the others.
-pub const FIRST_REST_S: f64 = 1.0;
-
 /// Step of the derivatives by either, s: less than what is asked of them.
 pub const STEP_S: f64 = 1e-4;
 

@@ -31,6 +31,8 @@ pub enum P {
     Viscous,
     /// Common delay of the record behind the drive in s (a nuisance, not physics).
     Latency,
+    /// Pitches by which the first edge is late where the rotor last turned the other way: the comparator's hysteresis (a nuisance).
+    Hysteresis,
     /// Width of the slip band as a fraction of the free speed (contact stiffness and exponent).
     SlipBand,
     /// `resonance-heating`: speed lost when warm, as a fraction at full duty.
@@ -155,7 +157,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 70] = [
+    pub const ALL: [P; 71] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -166,6 +168,7 @@ impl P {
         P::Detuning,
         P::Viscous,
         P::Latency,
+        P::Hysteresis,
         P::SlipBand,
         P::HeatLoss,
         P::HeatFriction,
