@@ -119,9 +119,9 @@ const LINES: [(Says, &str); 51] = [
     (Json, "experiment run --port sim --duties 0.6 --trials 1 --seconds 0.5 --out NEW"),
     (Json, "export run.mcap --to csv NEW"),
     (Refused, "flash --port sim"),
-    (Json, "identify force-factor EXAMPLES/first"),
+    (Slow, "identify force-factor EXAMPLES/first"),
     (Json, "identify friction EXAMPLES/friction"),
-    (Json, "identify motor EXAMPLES/gear-motor"),
+    (Slow, "identify motor EXAMPLES/gear-motor"),
     (Json, "identify stator EXAMPLES/stator.csv --shunt 2000"),
     (Json, "import EXAMPLES/first"),
     (Json, "info --port sim"),
@@ -150,7 +150,7 @@ const LINES: [(Says, &str); 51] = [
     (Json, "speed --port sim --duty 0.5 --seconds 0.5"),
     (Json, "stop --port sim"),
     (Json, "track --port sim --seconds 0.5"),
-    (Json, "tune --port sim --out NEW --draws 10 --seconds 0.5"),
+    (Slow, "tune --port sim --out NEW --draws 10 --seconds 0.5"),
     (Json, "velocity run.mcap"),
 ];
 
@@ -267,10 +267,9 @@ fn a_full_disk_behind_standard_output_is_an_error_and_no_panic() {
     quick.for_each(|(says, line)| bears_a_full_disk(&bench, *says, line));
 }
 
-/// `cargo test --release -p twum-host --test every_command -- --ignored`
 #[test]
-#[ignore = "minutes: what computes for long, three times"]
-fn what_computes_for_long_answers_as_json_and_bears_a_full_disk_too() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_computes_for_long_answers_as_json_and_bears_a_full_disk_too() {
     let bench = Bench::new();
     for (says, line) in LINES.iter().filter(|(says, _)| *says == Slow) {
         answers_as_json(&bench, *says, line);

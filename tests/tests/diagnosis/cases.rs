@@ -91,7 +91,8 @@ fn thorough_lost_words_of_a_slow_rotor_are_found_beside_a_delay() {
 /// A duty in uneven steps, 5 nats ahead where 8.8 are asked, and for certain a quarter of the error on runs held out. Fails if only the evidence is
 /// asked: then it is none.
 #[test]
-fn what_is_likely_and_helps_for_certain_is_said_and_not_named() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_is_likely_and_helps_for_certain_is_said_and_not_named() {
     let d = of_a_case("d", Kind::Single, 20_044);
     assert_eq!(d.suspected(), ["duty-quantisation"]);
     assert!(d.named().is_empty(), "{:?}", d.named());
