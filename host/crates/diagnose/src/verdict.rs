@@ -263,8 +263,8 @@ fn makers_of(courses: &[Course], effects: &[usize], background: &Background) -> 
     same.map(makers).find(|makers: &Vec<usize>| !makers.is_empty()).unwrap_or_default()
 }
 
-/// Named effects with what looks like them in the best set that does without, where it is behind by no more than forms differ: rivals, whatever the
-/// probabilities.
+/// Named effects with what looks like them in the best set without them that has any, where it is behind by no more than forms differ: rivals,
+/// whatever the probabilities.
 fn close_rivals(sets: &[Visited], named: &[usize], background: &Background) -> Vec<(usize, usize)> {
     let instead = |e: usize| {
         let near = |s: &&Visited| s.score > sets[0].score - background.clear_lead && !s.key.contains(&e);
