@@ -19,8 +19,12 @@ const PIECE_TICKS: usize = 2_000;
 const LEAST_TICKS: usize = 400;
 /// What is fitted to the control signal: a constant, each delay, the controller's three parts.
 const COLUMNS: usize = 1 + LONGEST_DELAY + 3;
-/// Smallest RMS difference worth a word, in duty steps: below it the two are the same number printed twice.
-const SAME: f64 = 0.02;
+/// The least that two control signals can differ by, in duty steps: one in the last binary place of the chip's.
+const LAST_PLACE: f64 = 1.0 / 65_536.0;
+/// Decimal places that hold all of it.
+const DECIMALS: i32 = 5;
+/// Share of a delay's consequences from which it is one: it acts in full, or it is none.
+const LEAST_DELAY: f64 = 0.5;
 /// Smallest relative difference of a gain that is another gain: what the read-off rate leaves of a loop at its limits looks like 2 %.
 const LEAST_MISMATCH: f64 = 0.05;
 /// What the target's rate, which is not logged, can be read off whole counts to, in counts/s: feed-forward is known no better.
@@ -52,14 +56,14 @@ struct Recomputed {
 /// Recomputes the control signal of every closed-loop run.
 pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) -> Parity {
     let mut out = Parity::default();
-    let mut same = SAME;
+    let mut same = LAST_PLACE;
     let mut all = Vec::new();
     let mut fed_forward = false;
     for run in runs {
         let RunData::Control(rows) = &run.data else { continue };
         let recomputed = controller_of(run, rows).and_then(|spec| {
             fed_forward |= spec.feed_forward != 0;
-            same = same.max(RATE_ERROR * spec.feed_forward.to_num::<f64>().abs());
+            same = same.max(RATE_ERROR * spec.feed_forward.to_num::<f64>().abs()).max(printed_to(rows));
             Recomputed::of(rows, spec).map_err(|error| error.to_string())
         });
         match recomputed {
@@ -252,7 +256,10 @@ impl Contest {
         let gain = held.gain();
         let interval = held.gain_interval(self.seed);
         let p = p_value(*improvement, &self.null);
-        let differs = *change != Change::Gains || parameters.iter().any(|e| e.value.abs() >= LEAST_MISMATCH);
+        let differs = match change {
+            Change::Delay(_) => parameters.iter().any(|e| e.name == "share" && e.value >= LEAST_DELAY),
+            Change::Gains => parameters.iter().any(|e| e.value.abs() >= LEAST_MISMATCH),
+        };
         let good = p <= LARGEST_P && gain >= LEAST_GAIN && interval[0] > 0.0 && differs;
         let beaten = slot != self.winner && self.leads(self.winner, slot);
         let as_good = |o: usize| {
@@ -304,6 +311,14 @@ fn around(name: &str, value: f64, variance: f64) -> Estimate {
     Estimate { name: name.to_owned(), value, interval: [value - half, value + half], unit: "1".to_owned() }
 }
 
+/// What the control signal was rounded to when it was logged, in duty steps: the coarsest decimal place that holds all of it.
+///
+/// The two signals are the same number printed twice as long as they differ by less: rounding alone is a third of it RMS.
+fn printed_to(rows: &[ControlRow]) -> f64 {
+    let holds = |place: f64| rows.iter().all(|r| (r.u / place - (r.u / place).round()).abs() < 1e-3);
+    (0..=DECIMALS).map(|d| 0.1_f64.powi(d)).find(|place| holds(*place)).unwrap_or(LAST_PLACE)
+}
+
 /// Rate of the target at every row in counts/s: a cubic through the counts around it, jumps taken out.
 fn target_rates(rows: &[ControlRow], period_s: f64) -> Vec<f64> {
     const EVERY: usize = 20;
@@ -338,6 +353,26 @@ fn target_rates(rows: &[ControlRow], period_s: f64) -> Vec<f64> {
 mod tests {
     use super::*;
     use twum_record::measurement::Direction;
+
+    /// Fails if a signal that was printed is compared closer than it was printed, or one that was not farther than the chip's last place.
+    #[test]
+    fn a_signal_is_compared_as_far_as_it_was_printed() {
+        let of = |place: f64| {
+            let row = |k: i32| ControlRow {
+                time_us: f64::from(k) * 500.0,
+                target: 0.0,
+                position: 0.0,
+                u: (1234.567_89 * f64::from(k).sin() / place).round() * place,
+                duty: 0.0,
+                direction: Direction::Cw,
+            };
+            printed_to(&(0..500).map(row).collect::<Vec<_>>())
+        };
+        for place in [1.0, 1e-3, 1e-5] {
+            assert!((of(place) / place - 1.0).abs() < 1e-9, "{place}: {}", of(place));
+        }
+        assert_eq!(of(LAST_PLACE), LAST_PLACE);
+    }
 
     /// Against the derivative of the sine itself; fails if whole counts are differenced tick by tick.
     #[test]
