@@ -23,6 +23,22 @@ fn thorough_a_clock_is_found_that_drifts_by_half_a_period_beside_a_strong_settli
     assert!((clock["relative_clock_error"].value - 0.003).abs() < 1e-4, "{clock:?}");
 }
 
+/// The listed controller with three tenths of its derivative gain, which moves the signal by a hundredth of a step. Fails if the two signals are
+/// held to be the same while they differ by more than they were printed to.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_controller_that_differs_by_a_hundredth_of_a_step_is_named() {
+    assert_eq!(of_a_case("e", Kind::Closed, 572).named(), ["controller-mismatch"]);
+}
+
+/// Nothing is hidden in a loop whose short pulses fit a contact that is soft over six tenths of the speed. Fails if that is judged where only pulses of a loop
+/// show it.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_loop_has_no_soft_contact() {
+    assert_eq!(of_a_case("e", Kind::Closed, 581).verdict, Verdict::None);
+}
+
 /// Nothing is hidden, and nothing is said.
 fn nothing_is_said(generator: &str, seed: u64) {
     let d = of_a_case(generator, Kind::Null, seed);

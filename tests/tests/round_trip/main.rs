@@ -380,7 +380,11 @@ fn what_was_fitted_is_what_is_saved() {
         ("duty-quantisation", &[(P::QuantSteps, 5.0), (P::QuantDown, 1.0)], &[("step", 0.2), ("down", 1.0)]),
         ("start-delay", &[(P::StartDelay, 2e-3), (P::DelayRest, 0.01)], &[("delay_s", 2e-3), ("rest_s", 0.01)]),
         ("high-duty-saturation", &[(P::FlatTop, 0.2)], &[("flat_top", 0.2)]),
-        ("contact-stiffening", &[(P::SlipExtra, 0.6)], &[("slip_band_excess", 0.6), ("exponent", 1.0)]),
+        (
+            "contact-stiffening",
+            &[(P::SlipExtra, 0.6), (P::SlipPower, -0.3)],
+            &[("slip_band_excess", 0.6), ("slip_exponent", 0.7), ("exponent", 1.0)],
+        ),
         ("direction-asymmetry", &[(P::AsymFriction, 0.2), (P::AsymBrake, 0.4)], &[("friction", 0.2), ("braking", 0.4)]),
         (
             "clock-error",

@@ -78,6 +78,8 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
     };
     let viscous = home.get(P::Viscous).max(0.05);
     let band = home.get(P::SlipBand).max(1e-3);
+    // What is too soft to be a motor's own is an effect where that can be judged.
+    let widest = if closed { WIDEST_BAND } else { widest_own_band(home) };
     let wave_s = if home.get(P::WaveTime) > 0.0 { home.get(P::WaveTime) } else { OTHER_WAVE_S.median };
     let speed = model.get(P::FreeSpeed);
     let normal = |parameter: P, sd: f64, most: f64| Free {
@@ -91,7 +93,7 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
         rate(P::OnAcceleration, OTHER_MOTOR),
         off,
         near(P::Viscous, viscous, LogNormal { median: viscous, ..HARDLY_SEEN }),
-        positive(P::SlipBand, 1e-3, (1e-3, widest_own_band(home)), either(band, HARDLY_SEEN.log_sd, OTHER_BAND)),
+        positive(P::SlipBand, 1e-3, (1e-3, widest), either(band, HARDLY_SEEN.log_sd, OTHER_BAND)),
         normal(P::ClockError, CLOCK, 20.0),
         normal(P::Latency, LATENCY_S, 5.0),
         positive(P::Hysteresis, 0.01, (1e-3, 1.0), HYSTERESIS),

@@ -146,7 +146,9 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
                 ("flat_top", of(P::FlatTop)),
             ]
         }
-        "contact-stiffening" => vec![("slip_band_excess", of(P::SlipExtra))],
+        "contact-stiffening" => {
+            vec![("slip_band_excess", of(P::SlipExtra)), ("slip_exponent", 1.0 + of(P::SlipPower))]
+        }
         // High slots are narrower where the edge that begins them is late.
         "unequal-edges" => vec![("offset", -of(P::EdgeOffset))],
         "clock-error" => {

@@ -237,6 +237,8 @@ effects! {
         exponent: "1", Linear, [0.5, 3.0], 1.0, 1.5;
         /// Slip at the whole torque, as a share of the speed at none (1).
         slip_band_excess: "1", Linear, [0.0, 5.0], 0.0, 0.5;
+        /// n of that slip: half of it gives ½ⁿ of the torque (1).
+        slip_exponent: "1", Linear, [0.1, 4.0], 1.0, 1.0;
     }
     /// The two directions differ.
     direction_asymmetry: DirectionAsymmetry, "direction-asymmetry", Plant {

@@ -19,6 +19,8 @@ pub struct Modulation {
     pub contact_exponent: f64,
     /// Slip a soft contact needs for the whole torque, as a share of the speed at none (1). Averaged model only.
     pub slip_excess: f64,
+    /// Exponent n of that slip, half of which gives ½ⁿ of the torque (1). Averaged model only.
+    pub slip_exponent: f64,
     /// Added load torque, against positive rotation (N·m).
     pub load_nm: f64,
     /// Added Coulomb friction, against the motion (N·m).
@@ -46,6 +48,7 @@ impl Modulation {
         off_friction: 1.0,
         contact_exponent: 1.0,
         slip_excess: 0.0,
+        slip_exponent: 1.0,
         load_nm: 0.0,
         brake_nm: 0.0,
         off_brake_nm: 0.0,

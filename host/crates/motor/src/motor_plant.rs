@@ -194,6 +194,7 @@ impl MotorPlant {
         if let Some(e) = e.contact_stiffening {
             m.contact_exponent = e.exponent;
             m.slip_excess = e.slip_band_excess;
+            m.slip_exponent = e.slip_exponent;
         }
         if let Some(e) = e.direction_asymmetry {
             m.voltage *= 1.0 + sense * e.gain;

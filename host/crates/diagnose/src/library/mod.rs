@@ -136,6 +136,8 @@ pub const LEAST_TURNS: f64 = 1.0 / 3.0;
 /// What an effect needs in the data before it can be judged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Need {
+    /// Runs that are no closed loops.
+    OpenLoop,
     /// Three duties, or a closed loop.
     ThreeDuties,
     /// Runs below full duty.
@@ -390,6 +392,7 @@ pub fn not_judged(effect: &Effect, problem: &Problem) -> Option<String> {
             Need::ThirdOfATurn => {
                 (problem.most_turns() < LEAST_TURNS).then_some("needs runs of more than a third of a turn")
             }
+            Need::OpenLoop => problem.closed().then_some("needs open-loop runs"),
             Need::ClosedLoop => (!any_track).then_some("needs closed-loop runs with reversals"),
             Need::Levels => {
                 let levels = runs.iter().any(|r| r.pitch > 0.0 && r.level.iter().any(|l| *l != 0));

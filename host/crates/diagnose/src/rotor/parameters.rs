@@ -63,6 +63,8 @@ pub enum P {
     Saturation,
     /// `contact-stiffening`: addition to the slip band.
     SlipExtra,
+    /// `contact-stiffening`: what the exponent n of the contact's force exceeds one by: half the slip band gives ½ⁿ of the torque.
+    SlipPower,
     /// `direction-asymmetry`: relative speed difference, half of cw minus ccw.
     AsymSpeed,
     /// `direction-asymmetry`: relative difference of the friction, under the wave and without it, half of cw minus ccw.
@@ -157,7 +159,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 71] = [
+    pub const ALL: [P; 72] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -184,6 +186,7 @@ impl P {
         P::QuantDown,
         P::Saturation,
         P::SlipExtra,
+        P::SlipPower,
         P::AsymSpeed,
         P::AsymFriction,
         P::AsymBrake,

@@ -360,6 +360,7 @@ impl<'a> Simulation<'a> {
     fn advance(&mut self, until: f64, by: By) {
         let p = self.p;
         let driven = self.wave.driven();
+        let half_band_torque = 0.5_f64.powf(1.0 + p.get(P::SlipPower));
         let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
         while self.t < until - 1e-12 && !self.done() {
             let directions = &self.input.schedule.directions;
@@ -396,7 +397,7 @@ impl<'a> Simulation<'a> {
                     while self.t < end - 1e-12 && !self.done() {
                         let crest = from + slope * (self.t - began);
                         let ahead = p.get(P::Ahead);
-                        let pull = Pull { sign, crest, slope, acceleration, band, ahead };
+                        let pull = Pull { sign, crest, slope, acceleration, band, half_band_torque, ahead };
                         self.follow(on_piece(self.speed, &pull, external), end);
                     }
                 }

@@ -14,7 +14,7 @@ impl Averaged {
         let Field { pressed: Pressed { phi, zeta, beta, .. }, sense, crest, limit, .. } = *field;
         let (share, slope) = match c.slip_excess {
             0.0 => share(sense * speed / crest, phi, zeta, beta),
-            excess => soft_share(sense * speed / crest, phi, zeta, beta, excess),
+            excess => soft_share(sense * speed / crest, phi, zeta, beta, (excess, c.half_slip_torque)),
         };
         let fading = (speed / CREEP_RAD_S).clamp(-1.0, 1.0);
         let brake = c.brake + c.off_brake * field.gone + self.stribeck(speed);
@@ -154,9 +154,10 @@ fn share(ratio: f64, phi: f64, zeta: f64, beta: f64) -> (f64, f64) {
     (2.0 * (sin - zeta * psi) / beta - 1.0, -2.0 * (ratio - zeta) / (beta * sin.max(1e-3)))
 }
 
-/// [`share`] of a soft contact, which takes a slip for a torque beyond the rigid one's: share(ratio + excess·balanced·s) = s, where
-/// `balanced` is the ratio at which the rigid contact gives none. The left side falls and the right one rises with s.
-fn soft_share(ratio: f64, phi: f64, zeta: f64, beta: f64, excess: f64) -> (f64, f64) {
+/// [`share`] of a soft contact, which takes a slip for a torque beyond the rigid one's: share(ratio + excess·balanced·lag(s)) = s, where
+/// `balanced` is the ratio at which the rigid contact gives none and `lag` the share of the slip that goes with a share s of the torque: straight
+/// to the torque at half of it, and on to all. The left side falls and the right one rises with s.
+fn soft_share(ratio: f64, phi: f64, zeta: f64, beta: f64, (excess, half_torque): (f64, f64)) -> (f64, f64) {
     let root = |low: f64, high: f64, f: &dyn Fn(f64) -> f64| {
         let (mut low, mut high) = (low, high);
         for _ in 0..40 {
@@ -165,9 +166,15 @@ fn soft_share(ratio: f64, phi: f64, zeta: f64, beta: f64, excess: f64) -> (f64, 
         }
         0.5 * (low + high)
     };
+    let lag = |s: f64| {
+        let beyond = (s.abs() - half_torque).max(0.0);
+        let slope = if beyond > 0.0 { 0.5 / (1.0 - half_torque) } else { 0.5 / half_torque };
+        (s.signum() * (0.5 * s.abs().min(half_torque) / half_torque + 0.5 * beyond / (1.0 - half_torque)), slope)
+    };
     let balanced = root(zeta.clamp(-1.0, 1.0), 1.0, &|r| share(r, phi, zeta, beta).0).max(0.0);
     let slip = excess * balanced;
-    let soft = root(-1.0, 1.0, &|s| share(ratio + slip * s, phi, zeta, beta).0 - s);
-    let slope = share(ratio + slip * soft, phi, zeta, beta).1;
-    (soft, slope / (1.0 - slip * slope))
+    let soft = root(-1.0, 1.0, &|s| share(ratio + slip * lag(s).0, phi, zeta, beta).0 - s);
+    let (at, steeper) = lag(soft);
+    let slope = share(ratio + slip * at, phi, zeta, beta).1;
+    (soft, slope / (1.0 - slip * steeper * slope))
 }
