@@ -263,19 +263,14 @@ fn makers_of(courses: &[Course], effects: &[usize], background: &Background) -> 
     same.map(makers).find(|makers: &Vec<usize>| !makers.is_empty()).unwrap_or_default()
 }
 
-/// Named effects with what looks like them in the best set without them in which that explains something, where it is behind by no more than forms
-/// differ: rivals, whatever the probabilities.
+/// Named effects with what looks like them in the best set without them that has any, where it is behind by no more than forms differ: rivals,
+/// whatever the probabilities.
 fn close_rivals(sets: &[Visited], named: &[usize], background: &Background) -> Vec<(usize, usize)> {
-    let explains = |s: &Visited, rival: usize| {
-        let rest =
-            |o: &&Visited| o.key.len() + 1 == s.key.len() && o.key.iter().all(|e| *e != rival && s.key.contains(e));
-        sets.iter().find(rest).is_none_or(|rest| s.score > rest.score)
-    };
     let instead = |e: usize| {
         let near = |s: &&Visited| s.score > sets[0].score - background.clear_lead && !s.key.contains(&e);
         let rivals = |s: &Visited| {
             let alike = s.key.iter().copied().filter(|o| !named.contains(o) && (background.alike)(e, *o));
-            alike.filter(|rival| explains(s, *rival)).map(|rival| (e, rival)).collect::<Vec<_>>()
+            alike.map(|rival| (e, rival)).collect::<Vec<_>>()
         };
         sets.iter().filter(near).map(rivals).find(|rivals| !rivals.is_empty()).unwrap_or_default()
     };
@@ -413,17 +408,6 @@ mod tests {
         let behind = |effects: &[usize], share: f64| set(effects, 200.0 - share * ALIKE, 1.0);
         let sets = [behind(&[0], 0.0), behind(&[1, 2], 0.3), behind(&[3], 0.6), set(&[], 0.0, 9.0)];
         assert_eq!(judge(&sets, &sets[3], &background).one_of, [vec![0, 1, 2]]);
-    }
-
-    /// Fails if what does nothing where an effect is taken out is that effect's rival, or if what does something is none.
-    #[test]
-    fn a_rival_explains_something_itself() {
-        let of = |rival: f64| {
-            let [best, none] = [set(&[0], 40.0, 1.0), set(&[], 10.0, 9.0)];
-            judged(&[best, set(&[1], 10.0 + rival, 8.0), none]).named
-        };
-        assert_eq!(of(-4.0), [0]);
-        assert!(of(4.0).is_empty());
     }
 
     /// Fails if what takes up the error of another's form is named beside it, if that other loses its name with it, or if what does not look like it
