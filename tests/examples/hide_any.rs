@@ -30,6 +30,9 @@ fn hide() -> Result<(), String> {
             "--effect" => request.effects.push(value()?),
             "--rho" => request.rho = Some(value()?.parse().map_err(|e| format!("--rho: {e}"))?),
             "--clean" => clean = true,
+            option if option.starts_with("--") => {
+                return Err(format!("{option}: not an option of hide_any (see the head of examples/hide_any.rs)"));
+            }
             _ => folder = Some(PathBuf::from(arg)),
         }
     }
