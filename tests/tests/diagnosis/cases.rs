@@ -80,7 +80,8 @@ fn thorough_what_is_named_helps_where_it_was_not_fitted() {
 
 /// Six runs, of which the longest makes 0.595 of a turn. Fails if what goes with the angle is looked for from 0.6 of a turn on.
 #[test]
-fn an_eccentric_wheel_shows_in_less_than_a_turn() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_an_eccentric_wheel_shows_in_less_than_a_turn() {
     both_are_found("e", 277, ["clock-error", "encoder-eccentricity"]);
 }
 
@@ -246,7 +247,8 @@ fn thorough_a_rest_over_the_order_does_not_withhold_a_saturation() {
 
 /// The weather over the runs, of which a spread of 0.7 % is left. Fails if that is believed of a motor.
 #[test]
-fn a_wander_of_the_runs_that_no_motor_has_is_unknown_over_the_order() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_wander_of_the_runs_that_no_motor_has_is_unknown_over_the_order() {
     is_unknown_over("e", 513, "order");
 }
 
@@ -300,7 +302,8 @@ fn thorough_what_comes_at_a_rate_of_its_own_is_unknown_over_it() {
 
 /// Runs that are slower at first if the one before went the other way. Fails if nobody looks at the run before: it was `none`.
 #[test]
-fn what_a_run_remembers_of_the_one_before_is_unknown_over_the_direction() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_what_a_run_remembers_of_the_one_before_is_unknown_over_the_direction() {
     is_unknown_over("b", 17_111, "direction of the run before");
 }
 
