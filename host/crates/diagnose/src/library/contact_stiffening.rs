@@ -6,6 +6,7 @@ use crate::rotor::P;
 pub(super) fn effect() -> Effect {
     // Secants too: a wide band is far from what a narrow one suggests.
     let band = |step: f64| one(P::SlipExtra, 0.5, step, (0.0, 5.0));
+    // n is 1.5 of round asperities; from a tenth, all of the torque at little slip, to four, next to none at half the band.
     let power = one(P::SlipPower, 1.0, 0.5, (-0.9, 3.0));
     let both = |step: f64| -> Form {
         let mut form = band(step);
