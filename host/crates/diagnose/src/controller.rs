@@ -362,7 +362,7 @@ mod tests {
                 time_us: f64::from(k) * 500.0,
                 target: 0.0,
                 position: 0.0,
-                u: (1234.567_89 * f64::from(k).sin() / place).round() * place,
+                u: (1_234.567_89 * f64::from(k).sin() / place).round() * place,
                 duty: 0.0,
                 direction: Direction::Cw,
             };
