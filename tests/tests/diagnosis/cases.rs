@@ -31,8 +31,8 @@ fn thorough_a_controller_that_differs_by_a_hundredth_of_a_step_is_named() {
     assert_eq!(of_a_case("e", Kind::Closed, 572).named(), ["controller-mismatch"]);
 }
 
-/// Nothing is hidden in a loop whose short pulses fit a contact that is soft over six tenths of the speed. Fails if that is judged where only pulses of a loop
-/// show it.
+/// Nothing is hidden in a loop whose short pulses fit a contact that is soft over six tenths of the speed. Fails if that is judged where
+/// only pulses of a loop show it.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_a_loop_has_no_soft_contact() {

@@ -88,7 +88,7 @@ pub fn parity(runs: &[&Run], repetitions: usize, seed: u64, without: &[String]) 
     }
     let designs: Vec<RunDesign> = all.iter().flat_map(Recomputed::pieces).collect();
     if designs.len() < 4 {
-        out.notes.push(format!("the logged control signal differs from the recomputed one by {rms:.2} steps RMS; too short a record to say why"));
+        out.notes.push(format!("the logged control signal differs from the recomputed one by {rms:.4} steps RMS; too short a record to say why"));
         return out;
     }
     out.findings =
@@ -283,7 +283,7 @@ impl Contest {
             next_experiment: "track a step: a delay moves the control signal's edge, another gain changes its height"
                 .to_owned(),
             share: 0.0,
-            note: format!("scored on the control signal: recomputed and logged differ by {rms:.2} duty steps RMS"),
+            note: format!("scored on the control signal: recomputed and logged differ by {rms:.4} duty steps RMS"),
         }
     }
 

@@ -219,7 +219,7 @@ pub fn diagnose(
         let parity = controller::parity(&tracks, settings.repetitions, options.seed, &options.without);
         if let Some(rms) = parity.rms_steps {
             notes.push(format!(
-                "control signal recomputed from target and position: {rms:.3} duty steps RMS from the logged one"
+                "control signal recomputed from target and position: {rms:.4} duty steps RMS from the logged one"
             ));
         }
         notes.extend(parity.notes);

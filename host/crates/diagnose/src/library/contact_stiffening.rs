@@ -1,18 +1,14 @@
 //! `contact-stiffening`.
 
-use super::{Coordinate, Effect, Form, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::rotor::P;
 
 pub(super) fn effect() -> Effect {
     // Secants too: a wide band is far from what a narrow one suggests.
     let band = |step: f64| one(P::SlipExtra, 0.5, step, (0.0, 5.0));
-    // n is 1.5 of round asperities; from a tenth, all of the torque at little slip, to four, next to none at half the band.
+    // n is 1.5 of round asperities; from a tenth, with 0.93 of the torque at half the band, to four, with 0.06.
     let power = one(P::SlipPower, 1.0, 0.5, (-0.9, 3.0));
-    let both = |step: f64| -> Form {
-        let mut form = band(step);
-        form.sizes.extend(power.sizes.clone());
-        form
-    };
+    let both = |step: f64| band(step).and(&power);
     Effect {
         name: "contact-stiffening".into(),
         says: "the contact takes up the speed difference softly: the rotor approaches the wave's speed slowly".into(),

@@ -1,18 +1,13 @@
 //! `direction-asymmetry`.
 
-use super::{Coordinate, Effect, Form, Need, one, reported};
+use super::{Coordinate, Effect, Need, one, reported};
 use crate::rotor::P;
 
 pub(super) fn effect() -> Effect {
     let speed = one(P::AsymSpeed, 0.1, 0.005, (-0.6, 0.6));
     let friction = one(P::AsymFriction, 0.3, 0.03, (-0.6, 0.6));
     let brake = one(P::AsymBrake, 0.3, 0.03, (-0.9, 0.9));
-    let with = |other: &Form| {
-        let mut both = speed.clone();
-        both.sizes.extend(other.sizes.clone());
-        both
-    };
-    let forms = vec![speed.clone(), with(&friction), with(&brake), friction, brake];
+    let forms = vec![speed.clone(), speed.clone().and(&friction), speed.and(&brake), friction, brake];
     Effect {
         name: "direction-asymmetry".into(),
         says: "the motor is faster in one direction than in the other".into(),

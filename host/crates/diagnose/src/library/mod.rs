@@ -291,6 +291,12 @@ fn phased(pairs: Vec<Phased>) -> Form {
 }
 
 impl Form {
+    /// The form with the sizes of another as well.
+    fn and(mut self, other: &Self) -> Self {
+        self.sizes.extend(other.sizes.iter().cloned());
+        self
+    }
+
     /// The form with a shape that the data may move.
     fn shaped(mut self, parameter: P, start: f64, prior: LogNormal, bounds: (f64, f64)) -> Self {
         self.shapes.push(Shape { parameter, start, prior: Some(prior), bounds });
