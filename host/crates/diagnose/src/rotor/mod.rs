@@ -2,8 +2,8 @@
 //!
 //! It is the averaged motor model reduced once more. The wave follows the drive with a time constant; from some height on it pulls the rotor
 //! towards its crest's speed with a torque that is constant (friction is saturated) until the speed comes within a slip band of
-//! it, and proportional inside the band; below that height Coulomb friction brakes. All have closed forms but the crest's, which
-//! moves in straight pieces of half a time constant or more: a run is stepped from event to event.
+//! it, and proportional inside the band; below that height Coulomb friction brakes, and from it on that goes over into the wave's with its height.
+//! All have closed forms but the crest's, which moves in straight pieces of half a time constant or more: a run is stepped from event to event.
 //!
 //! Everything an effect of the library can change is a parameter here, with the value 0 for "absent".
 
@@ -88,20 +88,23 @@ mod tests {
         simulate(&input, p, &RunTerms::default()).angle
     }
 
-    /// The same rotor in steps of a microsecond: the crest follows the drive with a time constant, the contact pulls the rotor
-    /// towards it, friction brakes once the wave is gone.
+    /// The same rotor in steps of a microsecond: the crest follows the drive with a time constant, the contact pulls the rotor towards it as far as
+    /// the wave carries it, friction brakes for the rest.
     fn stepped(p: &Parameters, on_s: f64) -> f64 {
-        let (mut crest, mut speed, mut angle) = (0.0, 0.0_f64, 0.0);
+        let (mut height, mut speed, mut angle) = (0.0, 0.0_f64, 0.0);
         let dt = 1e-6;
-        for k in 0..40_000 {
-            let on = f64::from(k) * dt < on_s;
-            let goal = if on { p.get(P::FreeSpeed) } else { 0.0 };
-            crest += (goal - crest) * dt / p.get(P::WaveTime);
-            speed = if crest < 0.02 * p.get(P::FreeSpeed) {
-                (speed - p.get(P::OffDeceleration) * dt).max(0.0)
+        let lift = p.get(P::Lift).max(0.01);
+        let [drive, brake] = [P::OnAcceleration, P::OffDeceleration].map(|rate| p.get(rate));
+        for k in 0..2_000_000 {
+            let goal = f64::from(u8::from(f64::from(k) * dt < on_s));
+            height += (goal - height) * dt / p.get(P::WaveTime);
+            let carried = height * height / (height * height + lift * lift);
+            let rest = (1.0 - carried) * brake;
+            speed = if carried * drive < rest {
+                (speed - brake * dt).max(0.0)
             } else {
-                let reach = p.get(P::OnAcceleration) * dt;
-                speed + (crest - speed).clamp(-reach, reach)
+                let [behind, ahead] = [1.0, p.get(P::Ahead)].map(|share| (carried * drive * share + rest) * dt);
+                speed + (height * p.get(P::FreeSpeed) - speed).clamp(-ahead, behind)
             };
             angle += speed * dt;
         }
@@ -119,6 +122,18 @@ mod tests {
         }
         let without = angles(&p.with(P::WaveTime, 0.0), 1e-3, 0.0, &[0.05])[0];
         assert!(without < 0.9 * stepped(&p, 1e-3), "the effect is there to be seen: {without}");
+    }
+
+    /// Fails if the contact is carried all at once from its lift on: pulses of a millisecond then turn this rotor twice as far.
+    #[test]
+    fn a_contact_is_carried_by_and_by() {
+        let p = Parameters::new(2.1, 460.0, 43.0, 0.0, 0.01).with(P::WaveTime, 1.7e-3).with(P::Lift, 0.25);
+        let p = p.with(P::Ahead, 0.9);
+        for on_s in [1e-3, 2e-3, 4e-3, 10e-3] {
+            let ours = angles(&p, on_s, 0.0, &[1.9])[0];
+            let reference = stepped(&p, on_s);
+            assert!((ours / reference - 1.0).abs() < 0.02, "{on_s} s: {ours} rad, in small steps {reference} rad");
+        }
     }
 
     /// Fails if a friction that differs between the directions does not act under the wave and without it, or acts in one direction alone.

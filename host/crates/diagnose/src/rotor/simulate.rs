@@ -154,7 +154,8 @@ impl<'a> Simulation<'a> {
         };
         let [tau, dying, detuning, lift, full, rate] =
             [P::WaveTime, P::Dying, P::Detuning, P::Lift, P::FreeSpeed, P::OnAcceleration].map(|k| p.get(k).max(0.0));
-        let wave = Wave::new([tau, tau * dying], detuning, lift, full, rate.max(1.0));
+        let rates = [rate.max(1.0), p.off_deceleration().max(0.0)];
+        let wave = Wave::new([tau, tau * dying], detuning, lift, full, rates);
         Self {
             input,
             p,
@@ -297,12 +298,12 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    /// From a switching of the drive to the next: the wave carries the rotor once it is high enough, and as long as it is.
+    /// From a switching of the drive to the next: the wave moves the rotor once it is high enough, and as long as it is.
     fn stretch(&mut self, from: f64, until: f64, driven: bool) {
         if self.wave.driven() != driven || !driven {
             self.wave.switch(from, driven);
         }
-        let crosses = self.wave.crosses_lift().min(until);
+        let crosses = self.wave.overcomes_at().min(until);
         let [before, after] = if driven { [By::Friction, By::Wave] } else { [By::Wave, By::Friction] };
         self.advance(crosses, before);
         self.advance(until, after);
@@ -390,22 +391,24 @@ impl<'a> Simulation<'a> {
                     let torque = friction
                         * (1.0 + p.get(P::RunoutTorque) * modulation)
                         * (1.0 + self.by_formulas(ActsOn::Torque, sign));
-                    let acceleration = self.wave.rate * torque.max(0.01);
+                    let heights = self.wave.course(self.t, end);
+                    // What the wave carries pulls as it does, the rest as without it, but no more.
+                    let carried = self.wave.carried(heights);
+                    let whole = self.wave.rate * torque.max(0.01);
+                    let rest = (1.0 - carried) * self.brake(friction, sign, modulation).min(whole);
+                    let acceleration = carried * whole + rest;
+                    let ahead = (carried * whole * p.get(P::Ahead) + rest) / acceleration;
                     let band = (band_fraction * full.abs()).max(SHORTEST_S * acceleration);
-                    let [from, to] = self.wave.course(self.t, end).map(|height| full * height);
+                    let [from, to] = heights.map(|height| full * height);
                     let (began, slope) = (self.t, (to - from) / step_s);
                     while self.t < end - 1e-12 && !self.done() {
                         let crest = from + slope * (self.t - began);
-                        let ahead = p.get(P::Ahead);
                         let pull = Pull { sign, crest, slope, acceleration, band, half_band_torque, ahead };
                         self.follow(on_piece(self.speed, &pull, external), end);
                     }
                 }
                 By::Friction => {
-                    let brake = p.off_deceleration().max(0.0)
-                        * friction
-                        * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0)
-                        * (1.0 + self.by_formulas(ActsOn::Braking, sign)).max(0.0);
+                    let brake = self.brake(friction, sign, modulation);
                     while self.t < end - 1e-12 && !self.done() {
                         self.follow(off_piece(self.speed, brake, external), end);
                     }
@@ -419,6 +422,15 @@ impl<'a> Simulation<'a> {
                 self.sagged = drive + (self.sagged - drive) * (-step_s / p.get(P::SagTime).max(1e-4)).exp();
             }
         }
+    }
+
+    /// What brakes without a wave, in rad/s², where the friction is so much of its own.
+    fn brake(&mut self, friction: f64, sign: f64, modulation: f64) -> f64 {
+        let p = self.p;
+        p.off_deceleration().max(0.0)
+            * friction
+            * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0)
+            * (1.0 + self.by_formulas(ActsOn::Braking, sign)).max(0.0)
     }
 
     /// Follows a closed form until it ends, or until `end`.

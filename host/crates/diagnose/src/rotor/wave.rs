@@ -3,17 +3,21 @@
 use super::motion::decayed;
 use nalgebra::Complex;
 
-/// The stator's wave: it follows the drive with a time constant, and carries the rotor from some height on.
+/// The stator's wave: it follows the drive with a time constant, and carries the more of the contact the higher it is.
 ///
 /// Of a resonance of half-width 1/τ that is driven beside it by `detuning` half-widths, the amplitude a in the frame that turns with the drive
 /// follows τ·ȧ = (1 + i·detuning)·(goal − a); the wave is as high as |a|. It rises faster than beside no detuning, and a little too high.
+///
+/// A wave of height h carries h²/(h² + lift²) of the contact, as its energy is a share of what lifts the rotor off.
 pub(super) struct Wave {
     /// Time constants in s of building up and of dying away.
     builds_up_s: f64,
     dies_s: f64,
     detuning: f64,
-    /// Share of its full height from which it carries the rotor.
+    /// Share of its full height at which it carries half of the contact.
     lift: f64,
+    /// Share of its full height from which its pull overcomes the friction of what it does not carry.
+    overcomes: f64,
     /// Speed of the full crest in rad/s.
     pub(super) full: f64,
     /// What the contact accelerates or brakes the rotor by, in rad/s².
@@ -32,10 +36,15 @@ const STEP: f64 = 0.5;
 const GROWTH: f64 = 1.0;
 
 impl Wave {
-    /// A wave that is not driven and not there.
-    pub(super) fn new([builds_up_s, dies_s]: [f64; 2], detuning: f64, lift: f64, full: f64, rate: f64) -> Self {
-        let lift = lift.clamp(GONE, MOST_LIFT);
-        Self { builds_up_s, dies_s, detuning, lift, full, rate, driven: false, since: 0.0, amplitude: Complex::ZERO }
+    /// A wave that is not driven and not there; `rates` are what the contact accelerates the rotor by with it and brakes by without it.
+    pub(super) fn new([builds_up_s, dies_s]: [f64; 2], detuning: f64, lift: f64, full: f64, rates: [f64; 2]) -> Self {
+        let [rate, brake] = rates;
+        let lift = lift.max(GONE);
+        // h²/(h² + lift²) of the one is as much as the rest of the other. How fast a rotor stops that stops at once does not show, and says nothing
+        // of how it starts.
+        let overcomes = (lift * (brake / rate).sqrt().clamp(HARDLY_CARRIES, 1.0)).clamp(GONE, MOST_LIFT);
+        let (driven, since, amplitude) = (false, 0.0, Complex::ZERO);
+        Self { builds_up_s, dies_s, detuning, lift, overcomes, full, rate, driven, since, amplitude }
     }
 
     /// Where it goes, and in which time constant (s).
@@ -79,6 +88,17 @@ impl Wave {
         ends.map(|height| height + mean - 0.5 * (ends[0] + ends[1]))
     }
 
+    /// Share of the contact that it carries on average over a straight course between two heights.
+    pub(super) fn carried(&self, course: [f64; 2]) -> f64 {
+        let [from, to] = course.map(|height| height / self.lift);
+        let apart = to - from;
+        if apart.abs() < AS_HIGH {
+            let energy = (0.5 * (from + to)).powi(2);
+            return energy / (1.0 + energy);
+        }
+        1.0 - (to.atan() - from.atan()) / apart
+    }
+
     /// The drive is switched at `t`.
     pub(super) fn switch(&mut self, t: f64, driven: bool) {
         self.amplitude = self.amplitude_at(t);
@@ -95,22 +115,22 @@ impl Wave {
         self.driven
     }
 
-    /// When it begins to carry the rotor after a rise, or stops after a fall.
-    pub(super) fn crosses_lift(&self) -> f64 {
+    /// When it begins to move the rotor after a rise, or stops after a fall.
+    pub(super) fn overcomes_at(&self) -> f64 {
         let (_, tau) = self.going();
         let from = height(self.amplitude);
-        if self.driven == (from >= self.lift) || tau <= 0.0 {
+        if self.driven == (from >= self.overcomes) || tau <= 0.0 {
             return self.since;
         }
         if !self.driven {
-            return self.since + tau * (from / self.lift).ln();
+            return self.since + tau * (from / self.overcomes).ln();
         }
         // Newton's rule within what is known to hold the crossing: what is left of the last pulse may turn the wrong way at first.
         let (mut below, mut above) = (0.0, SETTLED * tau);
-        let mut at = (tau * self.lift).min(above);
+        let mut at = (tau * self.overcomes).min(above);
         for _ in 0..CROSSINGS {
             let a = self.amplitude_at(self.since + at);
-            let beyond = height(a) - self.lift;
+            let beyond = height(a) - self.overcomes;
             if beyond < 0.0 {
                 below = at
             } else {
@@ -152,6 +172,10 @@ const CROSSED: f64 = 1e-7;
 /// Height at which a wave is gone (e⁻⁵), and one from which it has to carry: at its full height alone it would not at all.
 const GONE: f64 = 0.0067;
 const MOST_LIFT: f64 = 0.9;
+/// Share of the lift below which a wave is as good as none: it carries a hundredth of the contact.
+const HARDLY_CARRIES: f64 = 0.1;
+/// Difference of heights, in lifts, of which that of two arc tangents has no more than half of its digits.
+const AS_HIGH: f64 = 1e-7;
 
 #[cfg(test)]
 mod tests {
@@ -186,7 +210,7 @@ mod tests {
         let mut ends: Vec<f64> = SWITCHED[1..].to_vec();
         ends.push(12e-3);
         let wave = |k: usize| {
-            let mut wave = Wave::new([TAU; 2], DETUNING, lift, 1.0, 1.0);
+            let mut wave = Wave::new([TAU; 2], DETUNING, lift, 1.0, [1.0; 2]);
             (0..=k).for_each(|j| wave.switch(SWITCHED[j], j % 2 == 0));
             wave
         };
@@ -219,11 +243,11 @@ mod tests {
 
     /// Fails if a rise is taken to be an exponential one, or if it is looked for beyond its bracket.
     #[test]
-    fn it_carries_from_where_small_steps_cross_its_lift() {
+    fn it_moves_the_rotor_from_where_small_steps_cross_its_lift() {
         let reference: Vec<f64> = stepped().into_iter().map(height).collect();
         for lift in [0.05, 0.12, 0.3] {
             for (from, until, wave) in switched(lift) {
-                let crossed = wave.crosses_lift();
+                let crossed = wave.overcomes_at();
                 let above = |k: usize| (reference[k] >= lift) == wave.driven();
                 let first = (from / 1e-5).round() as usize;
                 let Some(there) = (first..=(until / 1e-5).round() as usize).find(|k| above(*k)) else {
