@@ -33,7 +33,7 @@ const OTHER_WAVE_S: LogNormal = LogNormal { median: 7e-4, log_sd: 1.0 };
 /// A wave dies as it builds up: both are set by the stator's own damping. The contact changes that by a third.
 pub const DYING: LogNormal = LogNormal { median: 1.0, log_sd: 0.3 };
 /// Share of its height at which a wave carries half of the contact of a rotor that is pressed on it: a tenth or so, pressed harder more.
-pub const LIFT: LogNormal = LogNormal { median: 0.1, log_sd: 0.7 };
+pub const LIFT: LogNormal = LogNormal { median: 0.1, log_sd: 0.5 };
 /// Share of the drive's torque with which the wave holds back a rotor that is ahead of its crest: all of it by the textbook, less where the
 /// contact is open for part of a wave.
 pub const AHEAD: LogNormal = LogNormal { median: 0.7, log_sd: 1.0 };
@@ -104,7 +104,7 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
             either(wave_s, SAME_MOTOR_LOG_SD, OTHER_WAVE_S),
         ),
         positive(P::Dying, 0.05, (0.02, 50.0), DYING),
-        positive(P::Lift, 0.005, (0.01, 0.6), LIFT),
+        positive(P::Lift, 0.005, (0.01, 0.3), LIFT),
         positive(P::Ahead, 0.05, (0.01, 5.0), AHEAD),
         positive(P::Detuning, 0.05, (0.02, 2.0), DETUNING),
     ]
