@@ -4,7 +4,7 @@ use super::clock::driven_s;
 use super::motion::{Piece, Pull, off_piece, on_piece};
 use super::parameters::{harmonics, placed};
 use super::warming::Warming;
-use super::wave::Wave;
+use super::wave::{Course, Wave};
 use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay, warm_up};
 use std::sync::Arc;
 use twum_motor::hypothesis::{ActsOn, Hypothesis, MOST_NUMBERS, Now};
@@ -391,9 +391,8 @@ impl<'a> Simulation<'a> {
                     let torque = friction
                         * (1.0 + p.get(P::RunoutTorque) * modulation)
                         * (1.0 + self.by_formulas(ActsOn::Torque, sign));
-                    let heights = self.wave.course(self.t, end);
+                    let Course { heights, carried } = self.wave.course(self.t, end);
                     // What the wave carries pulls as it does, the rest as without it, but no more.
-                    let carried = self.wave.carried(heights);
                     let whole = self.wave.rate * torque.max(0.01);
                     let rest = (1.0 - carried) * self.brake(friction, sign, modulation).min(whole);
                     let acceleration = carried * whole + rest;

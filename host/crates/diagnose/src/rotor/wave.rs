@@ -26,6 +26,38 @@ pub(super) struct Wave {
     driven: bool,
     since: f64,
     amplitude: Complex<f64>,
+    /// Where the course that was asked for last ended (s), and its amplitude there.
+    reached: (f64, Complex<f64>),
+    /// What came of the last fall and of the last rise, which the next may repeat.
+    switchings: [Switching; 2],
+}
+
+/// A straight course between two times, which is as high as the wave on average.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Course {
+    /// Its height at both ends.
+    pub(super) heights: [f64; 2],
+    /// Share of the contact that it carries on average.
+    pub(super) carried: f64,
+}
+
+/// What a wave does after it was switched: nothing else decides it than how high it was.
+#[derive(Default)]
+struct Switching {
+    amplitude: Complex<f64>,
+    /// When it begins to move the rotor, or stops, in s after the switching.
+    overcomes: Option<f64>,
+    steps: Vec<Step>,
+    /// The step that comes next where they are repeated.
+    next: usize,
+}
+
+/// A course with its ends in s after the switching, and the wave's amplitude at its end.
+struct Step {
+    from: f64,
+    to: f64,
+    course: Course,
+    amplitude: Complex<f64>,
 }
 
 /// Time constants after which the wave is at its height, or gone, to a few thousandths.
@@ -44,7 +76,22 @@ impl Wave {
         // of how it starts.
         let overcomes = (lift * (brake / rate).sqrt().clamp(HARDLY_CARRIES, 1.0)).clamp(GONE, MOST_LIFT);
         let (driven, since, amplitude) = (false, 0.0, Complex::ZERO);
-        Self { builds_up_s, dies_s, detuning, lift, overcomes, full, rate, driven, since, amplitude }
+        let reached = (f64::NAN, amplitude);
+        let switchings = Default::default();
+        Self {
+            builds_up_s,
+            dies_s,
+            detuning,
+            lift,
+            overcomes,
+            full,
+            rate,
+            driven,
+            since,
+            amplitude,
+            reached,
+            switchings,
+        }
     }
 
     /// Where it goes, and in which time constant (s).
@@ -63,9 +110,14 @@ impl Wave {
     /// Its amplitude, 1 where it is steady.
     pub(super) fn amplitude_at(&self, t: f64) -> Complex<f64> {
         let (goal, tau) = self.going();
-        let age = (t - self.since).max(0.0);
-        // A wave without inertia is where it goes at once.
-        if tau > 0.0 { (self.amplitude - goal) * self.kept(age / tau) + goal } else { Complex::from(goal) }
+        if tau <= 0.0 {
+            // Without inertia it is where it goes at once.
+            Complex::from(goal)
+        } else if t == self.reached.0 {
+            self.reached.1
+        } else {
+            (self.amplitude - goal) * self.kept((t - self.since).max(0.0) / tau) + goal
+        }
     }
 
     /// Its height as a share of the full one.
@@ -73,42 +125,74 @@ impl Wave {
         height(self.amplitude_at(t))
     }
 
-    /// Its height at both ends of a straight course between two times, which is as high as the wave on average.
-    pub(super) fn course(&self, from: f64, to: f64) -> [f64; 2] {
+    /// Its course between two times, the first of which is the switching or where the last one ended.
+    pub(super) fn course(&mut self, from: f64, to: f64) -> Course {
+        let ages = [from - self.since, to - self.since];
+        let now = &mut self.switchings[usize::from(self.driven)];
+        if let Some(step) = now.steps.get(now.next)
+            && (step.from - ages[0]).abs().max((step.to - ages[1]).abs()) < SAME_TIME_S
+        {
+            now.next += 1;
+            self.reached = (to, step.amplitude);
+            return step.course;
+        }
+        let (course, amplitude) = self.stepped(from, to);
+        self.reached = (to, amplitude);
+        let now = &mut self.switchings[usize::from(self.driven)];
+        now.steps.truncate(now.next);
+        now.steps.push(Step { from: ages[0], to: ages[1], course, amplitude });
+        now.next += 1;
+        course
+    }
+
+    /// The course, and the amplitude at its end.
+    fn stepped(&self, from: f64, to: f64) -> (Course, Complex<f64>) {
         let start = self.amplitude_at(from);
         let (goal, tau) = self.going();
         if tau <= 0.0 {
-            return [height(start), self.height_at(to)];
+            let end = self.amplitude_at(to);
+            let heights = [start, end].map(height);
+            return (Course { heights, carried: self.carried(heights) }, end);
         }
         let half = self.kept(0.5 * (to - from) / tau);
         let middle = (start - goal) * half + goal;
-        let ends = [start, (middle - goal) * half + goal].map(height);
-        // By Simpson's rule.
-        let mean = (ends[0] + 4.0 * height(middle) + ends[1]) / 6.0;
-        ends.map(|height| height + mean - 0.5 * (ends[0] + ends[1]))
+        let end = (middle - goal) * half + goal;
+        let ends = [start, end].map(height);
+        // What Simpson's rule adds to the mean of the ends.
+        let bend = (2.0 * height(middle) - ends[0] - ends[1]) * (1.0 / 3.0);
+        let heights = ends.map(|height| height + bend);
+        (Course { heights, carried: self.carried(heights) }, end)
     }
 
     /// Share of the contact that it carries on average over a straight course between two heights.
-    pub(super) fn carried(&self, course: [f64; 2]) -> f64 {
-        let [from, to] = course.map(|height| height / self.lift);
+    fn carried(&self, heights: [f64; 2]) -> f64 {
+        let [from, to] = heights.map(|height| height / self.lift);
         let apart = to - from;
-        if apart.abs() < AS_HIGH {
-            let energy = (0.5 * (from + to)).powi(2);
-            return energy / (1.0 + energy);
+        if apart == 0.0 {
+            return from * from / (1.0 + from * from);
         }
-        1.0 - (to.atan() - from.atan()) / apart
+        // The difference of their arc tangents.
+        1.0 - (apart / (1.0 + from * to)).atan() / apart
     }
 
     /// The drive is switched at `t`.
     pub(super) fn switch(&mut self, t: f64, driven: bool) {
         self.amplitude = self.amplitude_at(t);
+        self.reached = (t, self.amplitude);
         self.since = t;
         self.driven = driven;
+        let amplitude = self.amplitude;
+        let now = &mut self.switchings[usize::from(driven)];
+        now.next = 0;
+        if (now.amplitude - amplitude).norm_sqr() > AS_HIGH * AS_HIGH {
+            *now = Switching { amplitude, ..Switching::default() };
+        }
     }
 
     /// What happened before lies `later` seconds later: a period that repeats one before it.
     pub(super) fn shift(&mut self, later: f64) {
         self.since += later;
+        self.reached.0 += later;
     }
 
     pub(super) fn driven(&self) -> bool {
@@ -116,7 +200,17 @@ impl Wave {
     }
 
     /// When it begins to move the rotor after a rise, or stops after a fall.
-    pub(super) fn overcomes_at(&self) -> f64 {
+    pub(super) fn overcomes_at(&mut self) -> f64 {
+        let after = match self.switchings[usize::from(self.driven)].overcomes {
+            Some(after) => after,
+            None => self.crossed_at() - self.since,
+        };
+        self.switchings[usize::from(self.driven)].overcomes = Some(after);
+        self.since + after
+    }
+
+    /// The same, found anew.
+    fn crossed_at(&self) -> f64 {
         let (_, tau) = self.going();
         let from = height(self.amplitude);
         if self.driven == (from >= self.overcomes) || tau <= 0.0 {
@@ -130,14 +224,15 @@ impl Wave {
         let mut at = (tau * self.overcomes).min(above);
         for _ in 0..CROSSINGS {
             let a = self.amplitude_at(self.since + at);
-            let beyond = height(a) - self.overcomes;
+            let now = height(a);
+            let beyond = now - self.overcomes;
             if beyond < 0.0 {
                 below = at
             } else {
                 above = at
             }
-            let slope = (a.conj() * Complex::new(1.0, self.detuning) * (1.0 - a)).re / (height(a) * tau);
-            let next = at - beyond / slope;
+            let energy_slope = (a.conj() * Complex::new(1.0, self.detuning) * (1.0 - a)).re / tau;
+            let next = at - beyond * now / energy_slope;
             let known = next > below && next < above;
             let next = if known { next } else { 0.5 * (below + above) };
             if (next - at).abs() < CROSSED * tau {
@@ -166,16 +261,19 @@ fn height(amplitude: Complex<f64>) -> f64 {
     amplitude.norm_sqr().sqrt()
 }
 
-/// Steps to a crossing at most, by halves from five time constants, and how near in time constants is there: a nanosecond of a slow wave.
+/// Steps to a crossing at most, by halves from five time constants, and of how many time constants the last one is: the next would be
+/// its square.
 const CROSSINGS: usize = 30;
-const CROSSED: f64 = 1e-7;
+const CROSSED: f64 = 1e-5;
+/// Times in s that are the same but for their last digits, and amplitudes from which a wave goes the same way: a hundredth of what periods that
+/// repeat each other differ by.
+const SAME_TIME_S: f64 = 1e-12;
+const AS_HIGH: f64 = 1e-9;
 /// Height at which a wave is gone (e⁻⁵), and one from which it has to carry: at its full height alone it would not at all.
 const GONE: f64 = 0.0067;
 const MOST_LIFT: f64 = 0.9;
 /// Share of the lift below which a wave is as good as none: it carries a hundredth of the contact.
 const HARDLY_CARRIES: f64 = 0.1;
-/// Difference of heights, in lifts, of which that of two arc tangents has no more than half of its digits.
-const AS_HIGH: f64 = 1e-7;
 
 #[cfg(test)]
 mod tests {
@@ -224,11 +322,11 @@ mod tests {
         let reference: Vec<f64> = stepped().into_iter().map(height).collect();
         let at = |t: f64| (t / 1e-5).round() as usize;
         assert!(reference.iter().copied().fold(0.0, f64::max) > 1.01, "it rises too high");
-        for (from, until, wave) in switched(0.1) {
+        for (from, until, mut wave) in switched(0.1) {
             let mut t = from;
             while t < until - 1e-9 {
                 let end = (t + 5e-4).min(until);
-                let [a, b] = wave.course(t, end);
+                let [a, b] = wave.course(t, end).heights;
                 let between = &reference[at(t)..=at(end)];
                 let ends = 0.5 * (between[0] + between[between.len() - 1]);
                 let mean = (between.iter().sum::<f64>() - ends) / (between.len() - 1) as f64;
@@ -246,7 +344,7 @@ mod tests {
     fn it_moves_the_rotor_from_where_small_steps_cross_its_lift() {
         let reference: Vec<f64> = stepped().into_iter().map(height).collect();
         for lift in [0.05, 0.12, 0.3] {
-            for (from, until, wave) in switched(lift) {
+            for (from, until, mut wave) in switched(lift) {
                 let crossed = wave.overcomes_at();
                 let above = |k: usize| (reference[k] >= lift) == wave.driven();
                 let first = (from / 1e-5).round() as usize;
@@ -255,6 +353,30 @@ mod tests {
                     continue;
                 };
                 assert!((crossed - there as f64 * 1e-5).abs() < 1.1e-5, "{lift} from {from}: {crossed}, {there}");
+            }
+        }
+    }
+
+    /// Pulses of 4 ms every 6 ms, of which the second begins on what is left of the first, and the third as the second did but for e⁻⁶ of it. Fails if
+    /// a switching repeats one before it that began at another height, or at another time of its own.
+    #[test]
+    fn a_switching_repeats_only_one_that_began_as_high() {
+        let mut wave = Wave::new([TAU; 2], DETUNING, 0.1, 1.0, [1.0; 2]);
+        let ends: Vec<f64> = (0..12).map(|k| 3e-3 * f64::from(k) + if k % 2 == 1 { 1e-3 } else { 0.0 }).collect();
+        for k in 0..ends.len() - 1 {
+            wave.switch(ends[k], k % 2 == 0);
+            let mut alone = Wave::new([TAU; 2], DETUNING, 0.1, 1.0, [1.0; 2]);
+            (0..=k).for_each(|j| alone.switch(ends[j], j % 2 == 0));
+            assert!((wave.overcomes_at() - alone.overcomes_at()).abs() < 1e-8, "{k}");
+            // Other steps each time but for the first.
+            let half = ends[k] + (0.4 + 0.01 * k as f64) * (ends[k + 1] - ends[k]);
+            for [from, to] in [[ends[k], ends[k] + 5e-4], [ends[k] + 5e-4, half], [half, ends[k + 1]]] {
+                let (repeated, own) = (wave.course(from, to), alone.stepped(from, to).0);
+                let apart = repeated.heights[0] - own.heights[0] + repeated.heights[1] - own.heights[1];
+                assert!(
+                    apart.abs().max((repeated.carried - own.carried).abs()) < 1e-7,
+                    "{k}: {repeated:?} for {own:?}"
+                );
             }
         }
     }
