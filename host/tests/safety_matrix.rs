@@ -300,7 +300,8 @@ fn every(movers: &[Mover], events: &[Event]) -> Vec<(Mover, Event)> {
 }
 
 fn matrix(cases: &[(Mover, Event)], shares: &[f64]) -> String {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(6).build().unwrap();
+    // A case waits for most of its time, for a command to start and for the rotor to turn.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(9).build().unwrap();
     let came: Vec<Vec<Came>> = pool.install(|| {
         cases
             .par_iter()
