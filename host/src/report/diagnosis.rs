@@ -100,7 +100,7 @@ pub fn sentence(d: &Value) -> String {
         };
         let names = with_status("ambiguous").flat_map(with_rivals);
         let names: BTreeSet<String> = names.filter_map(|name| name.as_str().map(str::to_owned)).collect();
-        names.into_iter().collect::<Vec<_>>().join(", ")
+        names.into_iter().collect::<Vec<_>>()
     };
     match d["verdict"].as_str() {
         Some("none") => match off("baseline") {
@@ -115,9 +115,15 @@ pub fn sentence(d: &Value) -> String {
                 off("extended").map_or(String::new(), |rpm| format!(", and with it in the model {rpm} are left"));
             format!("{missed}; the cause is {}{left}.", names.join(" and "))
         }
-        Some("ambiguous") => format!("{missed}; the cause is one of {}.", possible()),
+        Some("ambiguous") => match possible().as_slice() {
+            [alone] => format!("{missed}; {alone} may be the cause."),
+            several => format!("{missed}; the cause is one of {}.", several.join(", ")),
+        },
         _ if with_status("ambiguous").next().is_some() => {
-            format!("{missed}, and no cause in the library explains it for certain; possible: {}.", possible())
+            format!(
+                "{missed}, and no cause in the library explains it for certain; possible: {}.",
+                possible().join(", ")
+            )
         }
         _ => format!("{missed}, and no cause in the library explains it."),
     }
@@ -243,6 +249,8 @@ mod tests {
         let d = json!({"verdict": "unknown", "effects": [], "baseline": before});
         assert!(sentence(&d).ends_with("3.24 rpm, and no cause in the library explains it."));
         let effects = json!([{"name": "unequal-edges", "status": "ambiguous", "conflicts_with": []}]);
+        let d = json!({"verdict": "ambiguous", "effects": effects, "baseline": before});
+        assert!(sentence(&d).ends_with("3.24 rpm; unequal-edges may be the cause."));
         let d = json!({"verdict": "unknown", "effects": effects, "baseline": before});
         assert!(sentence(&d).ends_with("explains it for certain; possible: unequal-edges."));
     }

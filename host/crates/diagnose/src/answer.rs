@@ -296,6 +296,7 @@ pub fn text(d: &Diagnosis) -> String {
     let possible = d.candidates().join(", ");
     line(match d.verdict {
         Verdict::Named => format!("NAMED: {}", d.named().join(", ")),
+        Verdict::Ambiguous if d.candidates().len() == 1 => format!("AMBIGUOUS: perhaps {possible}"),
         Verdict::Ambiguous => format!("AMBIGUOUS: one of {possible}"),
         Verdict::Unknown if !possible.is_empty() => {
             format!("UNKNOWN: no effect of the library explains for certain what is there; possible: {possible}")
