@@ -215,7 +215,7 @@ impl View<'_> {
                 note: match (by_chance, little) {
                     (true, _) => "likely, but chance does as much to such runs, or its size could be none",
                     (_, true) => {
-                        "likely, but of less than a tenth of the error a motor of another form may be the cause"
+                        "likely, but it removes less than a tenth of the error, as much as a motor of another form may differ by"
                     }
                     _ => "",
                 }
@@ -377,7 +377,7 @@ fn likely_effects(
 const LIKELY: f64 = 0.5;
 /// Share of the error on runs that an effect was not fitted to from which one would look for a cause: twice what counts where the evidence is not
 /// asked ([`LEAST_GAIN`]). A name removes as much, however certain it is, since a motor whose forms are not quite ours is certain to differ by less: of
-/// the motors of generators B to E that may be used for choosing three were named something that was not there with 0.04 to 0.1 (E 560, 571,
+/// the motors of generators B to E that had been looked at three were once named something that was not there with 0.04 to 0.1 (E 560, 571,
 /// 638), nothing that was there had less than 0.1. What is likely removes it for certain: of 66 motors without an effect (B, C, D, E) two had such a
 /// one (E 364 and 366, a sag), none of them among the 48 by which it was chosen.
 const WORTH_A_CAUSE: f64 = 0.1;

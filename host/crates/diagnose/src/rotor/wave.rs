@@ -125,7 +125,7 @@ impl Wave {
         height(self.amplitude_at(t))
     }
 
-    /// Its course between two times, the first of which is the switching or where the last one ended.
+    /// Its course between two times after the switching.
     pub(super) fn course(&mut self, from: f64, to: f64) -> Course {
         let ages = [from - self.since, to - self.since];
         let now = &mut self.switchings[usize::from(self.driven)];
@@ -201,11 +201,9 @@ impl Wave {
 
     /// When it begins to move the rotor after a rise, or stops after a fall.
     pub(super) fn overcomes_at(&mut self) -> f64 {
-        let after = match self.switchings[usize::from(self.driven)].overcomes {
-            Some(after) => after,
-            None => self.crossed_at() - self.since,
-        };
-        self.switchings[usize::from(self.driven)].overcomes = Some(after);
+        let now = usize::from(self.driven);
+        let after = self.switchings[now].overcomes.unwrap_or_else(|| self.crossed_at() - self.since);
+        self.switchings[now].overcomes = Some(after);
         self.since + after
     }
 
@@ -231,8 +229,8 @@ impl Wave {
             } else {
                 above = at
             }
-            let energy_slope = (a.conj() * Complex::new(1.0, self.detuning) * (1.0 - a)).re / tau;
-            let next = at - beyond * now / energy_slope;
+            let half_energy_slope = (a.conj() * Complex::new(1.0, self.detuning) * (1.0 - a)).re / tau;
+            let next = at - beyond * now / half_energy_slope;
             let known = next > below && next < above;
             let next = if known { next } else { 0.5 * (below + above) };
             if (next - at).abs() < CROSSED * tau {
