@@ -163,8 +163,8 @@ impl Reader<'_> {
         let need = |name: &str| table.get(name).ok_or_else(|| self.key(name, 0, "is missing"));
         let edges = need("edges_per_rev")?;
         let count = self.number("edges_per_rev", edges)?;
-        if count.fract() != 0.0 || !(2.0..=1e6).contains(&count) {
-            return Err(self.key("edges_per_rev", edges.span().start, "must be a whole number from 2 to 1000000"));
+        if count.fract() != 0.0 || !(1.0..=1e6).contains(&count) {
+            return Err(self.key("edges_per_rev", edges.span().start, "must be a whole number from 1 to 1000000"));
         }
         let values = need("parameters")?;
         let Some(listed) = values.get_ref().as_table() else {

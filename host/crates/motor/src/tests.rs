@@ -246,9 +246,20 @@ fn a_bad_motor_file_is_refused_with_key_and_line() {
     let missing = format!("{}{}", &good[..from], &good[good.find("[parameters.Ctheta]").unwrap()..]);
     refused(&missing, "parameters.Cz", None);
     refused(&good.replace("value = 6.0", "value = 6.5"), "parameters.n", None);
-    refused(&good.replace("edges_per_rev = 400", "edges_per_rev = 400.5"), "edges_per_rev", None);
+    for edges in ["0", "400.5", "1000001"] {
+        refused(&good.replace("edges_per_rev = 400", &format!("edges_per_rev = {edges}")), "edges_per_rev", None);
+    }
     refused("name = ", "line 1", None);
     assert!(matches!(Motor::load("/no/such/motor.toml"), Err(MotorError::Read { .. })));
+}
+
+/// Fails if a motor that was fitted to a folder, whose encoder may have from one edge to a million, is refused when it is read again.
+#[test]
+fn the_encoder_of_any_folder_is_that_of_a_motor() {
+    for edges_per_rev in [1, 1_000_000] {
+        let text = Motor { edges_per_rev, ..Motor::pcbmotor_30mm() }.to_toml().unwrap();
+        assert_eq!(Motor::parse("saved.toml", &text).unwrap().edges_per_rev, edges_per_rev);
+    }
 }
 
 #[test]
