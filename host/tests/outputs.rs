@@ -62,8 +62,11 @@ fn stator() -> String {
     text
 }
 
-/// Every writer but the recordings': its command without the place, and the place's name. `{}` stands for the place.
-const WRITERS: [(&[&str], &str); 24] = [
+/// A command without the place that it writes to, for which `{}` stands, and the place's name.
+type Writer = (&'static [&'static str], &'static str);
+
+/// Every writer but the recordings'. The last takes longer than all others together.
+const WRITERS: [Writer; 24] = [
     (&["plot", "track.mcap", "{}"], "plot.svg"),
     (&["plot", "track.mcap", "{}"], "plot.png"),
     (&["plot", "bench", "{}"], "folder.svg"),
@@ -86,12 +89,17 @@ const WRITERS: [(&[&str], &str); 24] = [
     (&["identify", "stator", "stator.csv", "--figure", "{}"], "stator.svg"),
     (&["identify", "stator", "stator.csv", "--save", "{}"], "motor.toml"),
     (&["diagnose", "speed.mcap", "--quick", "--report", "{}"], "why.html"),
-    (&["demo", "--seed", "1", "--out", "{}"], "demo"),
     (
         &["experiment", "run", "--port", "sim", "--duties", "0.4", "--trials", "1", "--seconds", "1", "--out", "{}"],
         "made",
     ),
+    (&["demo", "--seed", "1", "--out", "{}"], "demo"),
 ];
+
+/// Those that are tried on every change.
+fn quick_writers() -> &'static [Writer] {
+    &WRITERS[..WRITERS.len() - 1]
+}
 
 fn at<'a>(writer: &[&'a str], place: &'a str) -> Vec<&'a str> {
     writer.iter().map(|word| if *word == "{}" { place } else { word }).collect()
@@ -117,14 +125,14 @@ fn hidden(name: &str) -> bool {
 
 #[test]
 fn killed_at_any_moment_every_file_is_whole_or_absent() {
-    kills(WRITERS.len(), 3);
+    kills(quick_writers(), quick_writers().len(), 3);
 }
 
 /// `cargo test -p twum-host --test outputs -- --ignored --nocapture five_hundred`
 #[test]
 #[ignore = "minutes; docs/reliability.md gives the command"]
 fn killed_five_hundred_times_every_file_is_whole_or_absent() {
-    kills(500, 4);
+    kills(&WRITERS, 500, 4);
 }
 
 /// An experiment's recordings are kept as they grow: what is whole there is the measurement made of them.
@@ -132,10 +140,10 @@ fn judged(name: &str, place: PathBuf) -> PathBuf {
     if name == "made" { place.join("measurement") } else { place }
 }
 
-fn kills(count: usize, seed: u64) {
+fn kills(writers: &[Writer], count: usize, seed: u64) {
     let bench = Bench::new();
     let mut references = Vec::new();
-    for (writer, name) in WRITERS {
+    for (writer, name) in writers {
         let begun = Instant::now();
         bench.made(&at(writer, name));
         references.push((begun.elapsed(), content(&judged(name, bench.path(name)))));
@@ -145,8 +153,8 @@ fn kills(count: usize, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let (mut whole, mut absent, mut left) = (0, 0, 0);
     for attempt in 0..count {
-        let (writer, name) = WRITERS[attempt % WRITERS.len()];
-        let (length, reference) = &references[attempt % WRITERS.len()];
+        let (writer, name) = writers[attempt % writers.len()];
+        let (length, reference) = &references[attempt % writers.len()];
         let folder = tempfile::tempdir_in(bench.folder.path()).unwrap();
         let place = folder.path().join(name);
         let mut child = bench.command(&at(writer, place.to_str().unwrap())).stderr(Stdio::null()).spawn().unwrap();
@@ -174,7 +182,7 @@ fn kills(count: usize, seed: u64) {
 #[cfg(target_os = "linux")]
 #[test]
 fn on_a_full_disk_every_file_is_whole_or_absent() {
-    full_disks(24, 5);
+    full_disks(quick_writers(), quick_writers().len(), 5);
 }
 
 /// `cargo test -p twum-host --test outputs -- --ignored --nocapture fifty`
@@ -182,14 +190,14 @@ fn on_a_full_disk_every_file_is_whole_or_absent() {
 #[test]
 #[ignore = "a minute; docs/reliability.md gives the command"]
 fn on_fifty_full_disks_every_file_is_whole_or_absent() {
-    full_disks(50, 6);
+    full_disks(&WRITERS, 50, 6);
 }
 
 #[cfg(target_os = "linux")]
 const UNSHARE: [&str; 4] = ["--user", "--map-root-user", "--mount", "--"];
 
 #[cfg(target_os = "linux")]
-fn full_disks(count: usize, seed: u64) {
+fn full_disks(writers: &[Writer], count: usize, seed: u64) {
     let bench = Bench::new();
     let disk = bench.path("disk");
     fs::create_dir(&disk).unwrap();
@@ -202,7 +210,7 @@ fn full_disks(count: usize, seed: u64) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut refused = 0;
     for attempt in 0..count {
-        let (writer, name) = WRITERS[attempt % WRITERS.len()];
+        let (writer, name) = writers[attempt % writers.len()];
         bench.made(&at(writer, name));
         let size: usize = content(&bench.path(name)).values().map(Vec::len).sum();
         let place = bench.path(name);

@@ -11,7 +11,7 @@ use twum_host::record::store::{Ending, Reader};
 
 fn track(out: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_twum"));
-    command.args(["track", "--port", "sim", "--control", "thesis", "--seconds", "100", "--out"]).arg(out);
+    command.args(["track", "--port", "sim", "--control", "thesis", "--seconds", "50", "--out"]).arg(out);
     command.stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }
@@ -26,7 +26,7 @@ fn frames(path: &Path) -> (u64, Ending) {
 #[cfg(unix)]
 #[test]
 fn killed_at_any_moment_it_is_readable_to_its_last_frame() {
-    killed_at_random_moments(15, 9);
+    killed_at_random_moments(6, 9);
 }
 
 /// `cargo test --release -p twum-host --test recording_survives -- --ignored --nocapture two_hundred`

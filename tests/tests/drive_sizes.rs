@@ -40,14 +40,16 @@ fn held(hidden: Hidden, number: &str, seeds: std::ops::Range<u64>) -> (usize, us
 /// Fails if the friction's fall over the speed is left out, or a run's own gain and start are: of twelve lags ten would hold by chance at
 /// 95 % in 98 of 100 cases.
 #[test]
-fn the_lag_of_a_motor_that_sticks_is_held() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_the_lag_of_a_motor_that_sticks_is_held() {
     let (hits, of) = held(Hidden::Stribeck, "lag_s", 47_001..47_013);
     assert!(of == 12 && hits >= 10, "{hits} of {of}");
 }
 
 /// Fails if a summed angle is believed although its noise drifts, or a torque is taken as even between two samples.
 #[test]
-fn the_height_of_cogging_is_held() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_the_height_of_cogging_is_held() {
     let (hits, of) = held(Hidden::Cogging, "cogging", 48_001..48_013);
     assert!(of >= 9 && hits + 2 >= of, "{hits} of {of}");
 }

@@ -42,7 +42,18 @@ fn drawn(hidden: Hidden, seed: u64) -> Vec<Record> {
 /// A name out of nothing is the worst error: motors of all sizes, lags on no grid, inputs of all shapes.
 #[test]
 fn perfect_linear_motors_get_no_name() {
-    let wrong: Vec<(u64, Vec<String>)> = (1..=6u64)
+    get_no_name(1..=2);
+}
+
+/// The same of four more.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_perfect_linear_motors_get_no_name() {
+    get_no_name(3..=6);
+}
+
+fn get_no_name(seeds: RangeInclusive<u64>) {
+    let wrong: Vec<(u64, Vec<String>)> = seeds
         .into_par_iter()
         .filter_map(|seed| {
             let d = answer(drawn(Hidden::Nothing, seed));
@@ -68,14 +79,14 @@ fn a_hundred_perfect_linear_motors_get_no_name() {
 /// Fails if what is hidden is no longer found, or another name comes with it.
 #[test]
 fn what_is_hidden_in_a_drive_is_found_and_nothing_else() {
-    are_found_and_nothing_else(101..=102);
+    are_found_and_nothing_else(101..=101);
 }
 
-/// The same of two more motors of each.
+/// The same of three more motors of each.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_what_is_hidden_in_a_drive_is_found_and_nothing_else() {
-    are_found_and_nothing_else(103..=104);
+    are_found_and_nothing_else(102..=104);
 }
 
 fn are_found_and_nothing_else(seeds: RangeInclusive<u64>) {
@@ -89,21 +100,22 @@ fn are_found_and_nothing_else(seeds: RangeInclusive<u64>) {
     }
     let found = answers.iter().filter(|(h, _, d)| told(d, *h)).count();
     let missed: Vec<(Hidden, u64)> = answers.iter().filter(|(h, _, d)| !told(d, *h)).map(|a| (a.0, a.1)).collect();
-    assert!(found >= 9, "{found} of 10; not {missed:?}");
+    // One in ten may be missed: no motor shows everything.
+    assert!(10 * found >= 9 * answers.len(), "{found} of {}; not {missed:?}", answers.len());
 }
 
 /// Fails if an order of the angle is no longer seen, or what is outside the line's reach gets another name: encoders that keep their zero, a
 /// speed alone, a closed loop; rotors that turn through less than two teeth.
 #[test]
 fn cogging_is_found_in_its_order() {
-    cogging_is_found([71_001, 71_013, 16_016]);
+    cogging_is_found([71_001]);
 }
 
-/// The same in four more motors.
+/// The same in six more motors.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_cogging_is_found_in_its_order() {
-    cogging_is_found([71_004, 71_005, 71_008, 16_020]);
+    cogging_is_found([71_004, 71_005, 71_008, 71_013, 16_016, 16_020]);
 }
 
 fn cogging_is_found<const N: usize>(seeds: [u64; N]) {
@@ -147,18 +159,22 @@ fn coupling_is_found<const N: usize>(seeds: [u64; N]) {
 /// periods, is named for what is not in the library.
 #[test]
 fn what_is_not_in_the_library_is_no_swing_and_no_ripple() {
-    nothing_stands_for([(Hidden::Warmth, 80_323, vec![]), (Hidden::DeadZone, 80_151, vec!["dead-zone"])]);
+    nothing_stands_for([(Hidden::Warmth, 80_323, vec![])]);
 }
 
-/// The same in two more motors.
+/// The same in three more motors.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_what_is_not_in_the_library_is_no_swing_and_no_ripple() {
-    nothing_stands_for([(Hidden::Warmth, 80_306, vec![]), (Hidden::DeadZone, 18_577, vec!["dead-zone"])]);
+    nothing_stands_for([
+        (Hidden::Warmth, 80_306, vec![]),
+        (Hidden::DeadZone, 18_577, vec!["dead-zone"]),
+        (Hidden::DeadZone, 80_151, vec!["dead-zone"]),
+    ]);
 }
 
 /// Nothing but a friction is named for what is hidden, in motors by their seed, without these effects.
-fn nothing_stands_for(asked: [(Hidden, u64, Vec<&str>); 2]) {
+fn nothing_stands_for<const N: usize>(asked: [(Hidden, u64, Vec<&str>); N]) {
     for (hidden, seed, without) in asked {
         let d = answer_without(Drive::draw_any(&[hidden], seed).make(), &without).0;
         assert!(d.named().iter().all(|n| *n == "coulomb-friction"), "{seed}: {:?}", d.named());
@@ -175,7 +191,8 @@ fn a_form_that_leaves_structure_says_so() {
 
 /// Fails if something small that an effect takes of an error gets a name beside the structure of all the rest.
 #[test]
-fn cogging_that_is_not_in_the_library_lends_its_error_to_no_other() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_cogging_that_is_not_in_the_library_lends_its_error_to_no_other() {
     let d = answer_without(Drive::draw_any(&[Hidden::Cogging], 15_042).make(), &["cogging"]).0;
     assert_eq!((d.verdict, d.named().len()), (Verdict::Unknown, 0), "{:?}", d.suspected());
 }
@@ -191,7 +208,8 @@ fn the_error_afterwards_is_that_of_the_refined_form() {
 
 /// Fails if a delay that sines of other frequencies show as other lags is taken for other motors.
 #[test]
-fn a_delay_under_sines_is_no_other_motor() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_delay_under_sines_is_no_other_motor() {
     let d = answer(Drive::draw(&[Hidden::DeadTime], 5).lengthened(900, 3).make());
     assert!(!d.notes.iter().any(|n| n.contains("not of one motor")), "{:?}", d.notes);
     assert!(d.suspected().contains(&"dead-time"), "{:?} {:?}", d.suspected(), d.notes);
@@ -229,9 +247,11 @@ fn linear(gain: f64, lag_s: f64) -> Vec<Record> {
     vec![run(), run(), run()]
 }
 
-/// Fails if a record that cannot be what it says gets a name, or no word.
-#[test]
-fn a_record_that_is_not_what_it_says_is_questioned() {
+/// What is done to a record, the record, and a word of what is said of it.
+type Spoilt = (&'static str, Vec<Record>, &'static str);
+
+/// Records of a linear motor that are not what they say.
+fn spoilt() -> Vec<Spoilt> {
     let good = || linear(900.0, 0.05);
     let of = |change: &dyn Fn(&mut Record)| {
         let mut records = good();
@@ -245,7 +265,7 @@ fn a_record_that_is_not_what_it_says_is_questioned() {
     };
     let mut mixed = good();
     mixed[2] = linear(2400.0, 0.15).remove(2);
-    let cases: Vec<(&str, Vec<Record>, &str)> = vec![
+    vec![
         ("µs for ms", of(&|r| r.time_us.iter_mut().for_each(|t| *t *= 1e3)), "long for a motor"),
         ("one run in turns a second", one(&|r| r.rpm.iter_mut().for_each(|v| *v /= 60.0)), "not of one motor"),
         ("input of zeros", of(&|r| r.input.fill(0.0)), "input never changes"),
@@ -257,13 +277,35 @@ fn a_record_that_is_not_what_it_says_is_questioned() {
         ("one sign flipped", one(&|r| r.rpm.iter_mut().for_each(|v| *v = -*v)), "not of one motor"),
         ("one run in rad/s", one(&|r| r.rpm.iter_mut().for_each(|v| *v *= 0.10472)), "not of one motor"),
         ("another motor", mixed, "not of one motor"),
-    ];
-    for (what, records, word) in cases {
+    ]
+}
+
+/// Fails if a record that cannot be what it says gets a name, or no word.
+fn are_questioned(spoilt: impl Iterator<Item = Spoilt>) {
+    for (what, records, word) in spoilt {
         let d = answer(records);
         assert!(d.suspected().is_empty(), "{what}: {:?}", d.suspected());
         assert!(d.notes.iter().any(|n| n.contains(word)), "{what}: {:?}", d.notes);
     }
-    let d = answer(good());
+}
+
+/// Every second of them.
+#[test]
+fn a_record_that_is_not_what_it_says_is_questioned() {
+    are_questioned(spoilt().into_iter().step_by(2));
+}
+
+/// The others.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_record_that_is_not_what_it_says_is_questioned() {
+    are_questioned(spoilt().into_iter().skip(1).step_by(2));
+}
+
+/// Fails if what is asked of a record that is not what it says is asked of a sound one.
+#[test]
+fn a_sound_record_is_not_questioned() {
+    let d = answer(linear(900.0, 0.05));
     assert_eq!(d.verdict, Verdict::None, "{:?}", d.suspected());
     assert!(!d.notes.iter().any(|n| n.contains("closed loop") || n.contains("not of one motor")), "{:?}", d.notes);
 }
@@ -301,7 +343,18 @@ fn a_closed_loop_is_said_to_be_one_and_names_nothing() {
 /// Counts of an encoder give speeds of windows, in which inputs change: fails if such a window is taken to foretell the input.
 #[test]
 fn windows_of_an_encoder_are_no_closed_loop() {
-    for seed in [10_058, 10_191] {
+    are_no_closed_loop([10_058]);
+}
+
+/// The same of another motor.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_windows_of_an_encoder_are_no_closed_loop() {
+    are_no_closed_loop([10_191]);
+}
+
+fn are_no_closed_loop(seeds: [u64; 1]) {
+    for seed in seeds {
         let d = answer(Drive::draw_any(&[Hidden::Nothing], seed).make());
         assert_eq!(d.verdict, Verdict::None, "{seed}: {:?} {:?}", d.unknown, d.notes);
     }
