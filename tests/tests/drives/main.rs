@@ -342,19 +342,9 @@ fn a_closed_loop_is_said_to_be_one_and_names_nothing() {
 
 /// Counts of an encoder give speeds of windows, in which inputs change: fails if such a window is taken to foretell the input.
 #[test]
-fn windows_of_an_encoder_are_no_closed_loop() {
-    are_no_closed_loop([10_058]);
-}
-
-/// The same of another motor.
-#[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_windows_of_an_encoder_are_no_closed_loop() {
-    are_no_closed_loop([10_191]);
-}
-
-fn are_no_closed_loop(seeds: [u64; 1]) {
-    for seed in seeds {
+    for seed in [10_058, 10_191] {
         let d = answer(Drive::draw_any(&[Hidden::Nothing], seed).make());
         assert_eq!(d.verdict, Verdict::None, "{seed}: {:?} {:?}", d.unknown, d.notes);
     }
