@@ -310,7 +310,8 @@ fn alone_and_loaded(base: Parameters) -> (Report, Report) {
 }
 
 #[test]
-fn loaded_speeds_are_taken_in() {
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_loaded_speeds_are_taken_in() {
     let base = Motor::pcbmotor_30mm().parameters(Flavour::Physical);
     let (_, with) = alone_and_loaded(base);
     // Where the encoder stood at the start is not told: it shifts the lags by milliseconds, and η with them.

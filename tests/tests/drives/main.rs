@@ -131,20 +131,12 @@ fn cogging_is_found<const N: usize>(seeds: [u64; N]) {
 
 /// Fails if a load that swings on its coupling is no longer seen, on either side of it, or has another frequency.
 #[test]
-fn a_coupling_is_found_with_its_frequency() {
-    coupling_is_found([18_402]);
-}
-
-/// The same in two more motors.
-#[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_a_coupling_is_found_with_its_frequency() {
-    coupling_is_found([18_404, 18_413]);
-}
-
-fn coupling_is_found<const N: usize>(seeds: [u64; N]) {
-    let answers: Vec<(u64, Diagnosis)> =
-        seeds.into_par_iter().map(|seed| (seed, answer(Drive::draw_any(&[Hidden::Coupling], seed).make()))).collect();
+    let answers: Vec<(u64, Diagnosis)> = [18_402, 18_404, 18_413]
+        .into_par_iter()
+        .map(|seed| (seed, answer(Drive::draw_any(&[Hidden::Coupling], seed).make())))
+        .collect();
     for (seed, d) in &answers {
         assert_eq!(d.named(), ["coupling-resonance"], "{seed}: {:?} {:?}", d.suspected(), d.unknown);
         let told =
@@ -156,25 +148,16 @@ fn coupling_is_found<const N: usize>(seeds: [u64; N]) {
 }
 
 /// Fails if a swing that dies at once, that no input shakes or that is as slow as the lag, or a ripple of the torque over less than two of its
-/// periods, is named for what is not in the library.
-#[test]
-fn what_is_not_in_the_library_is_no_swing_and_no_ripple() {
-    nothing_stands_for([(Hidden::Warmth, 80_323, vec![])]);
-}
-
-/// The same in three more motors.
+/// periods, is named for what is not in the library: nothing but a friction is.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]
 fn thorough_what_is_not_in_the_library_is_no_swing_and_no_ripple() {
-    nothing_stands_for([
-        (Hidden::Warmth, 80_306, vec![]),
+    let asked = [
+        (Hidden::Warmth, 80_323, Vec::new()),
+        (Hidden::Warmth, 80_306, Vec::new()),
         (Hidden::DeadZone, 18_577, vec!["dead-zone"]),
         (Hidden::DeadZone, 80_151, vec!["dead-zone"]),
-    ]);
-}
-
-/// Nothing but a friction is named for what is hidden, in motors by their seed, without these effects.
-fn nothing_stands_for<const N: usize>(asked: [(Hidden, u64, Vec<&str>); N]) {
+    ];
     for (hidden, seed, without) in asked {
         let d = answer_without(Drive::draw_any(&[hidden], seed).make(), &without).0;
         assert!(d.named().iter().all(|n| *n == "coulomb-friction"), "{seed}: {:?}", d.named());
