@@ -8,7 +8,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
-use twum_host::diagnose::answer::{Diagnosis, ParameterAnswer, Verdict};
+use twum_host::diagnose::answer::{Diagnosis, Verdict};
 use twum_host::diagnose::{Options, diagnose};
 use twum_host::model::effects::EffectSet;
 use twum_host::model::motor::Motor;
@@ -43,15 +43,6 @@ fn hide(name: &'static str, rho: f64, seed: u64) -> Hidden {
     let mut hidden = Hidden::draw(name, &mut ChaCha8Rng::seed_from_u64(seed));
     Sealed::new(small(), seed).scale_to(&mut hidden, rho);
     hidden
-}
-
-/// The number that is hidden, and what the answer says of it.
-fn hidden_and_found(name: &'static str, parameter: &str, rho: f64) -> (f64, ParameterAnswer) {
-    let hidden = hide(name, rho, 12);
-    let truth = hidden.comparable().expect("the two forms have the number in common");
-    let d = through_a_folder(&[hidden], 12, &[]);
-    let effect = d.effects.into_iter().find(|e| e.name == name).expect("it was judged");
-    (truth, effect.parameters[parameter].clone())
 }
 
 /// A name out of nothing is the worst error; the full suite measures its rate.
@@ -137,7 +128,10 @@ fn timed_edges_of_the_motor_model_name_nothing() {
 /// Fails if the friction's refit swallows the dead zone again, or the sampling bends it: the hidden threshold is known.
 #[test]
 fn a_dead_zone_comes_with_its_threshold() {
-    let (truth, p) = hidden_and_found("dead-zone", "threshold_duty", 1.5);
+    let hidden = hide("dead-zone", 1.5, 12);
+    let truth = hidden.comparable().expect("the two forms have the number in common");
+    let d = through_a_folder(&[hidden], 12, &[]);
+    let p = &d.effects.iter().find(|e| e.name == "dead-zone").expect("it was judged").parameters["threshold_duty"];
     assert!((p.value - truth).abs() < 0.25 * truth && p.ci95[0] < truth && truth < p.ci95[1], "{truth} {p:?}");
 }
 
