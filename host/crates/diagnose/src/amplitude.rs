@@ -25,8 +25,8 @@ pub fn of_one_amplitude(runs: &[Normal], q: &Question, weighed: &Weighed) -> f64
         return 0.0;
     }
     let mut groups: Vec<Vec<f64>> = vec![vec![0.0; STEPS.count()]; weighed.powers.len()];
-    for run in runs {
-        let Some(posterior) = Posterior::of(run, q, weighed) else { continue };
+    for (i, run) in runs.iter().enumerate() {
+        let Some(posterior) = Posterior::of(run, i, q, weighed) else { continue };
         for (group, sums) in groups.iter_mut().enumerate() {
             let at: Vec<usize> = (0..q.own.len()).filter(|i| q.own[*i].1 == group).collect();
             let on_rings = posterior.on_rings([at[0], at[1]], weighed.powers[group]);
@@ -43,8 +43,9 @@ struct Posterior {
 }
 
 impl Posterior {
-    /// Beside a gain that scatters as the runs' gains do.
-    fn of(run: &Normal, q: &Question, weighed: &Weighed) -> Option<Self> {
+    /// Of the run of index `at`, beside what it shares with others and a gain that scatters about the expected one as the runs' gains do: of less than
+    /// a turn, a cosine takes what is a gain.
+    fn of(run: &Normal, at: usize, q: &Question, weighed: &Weighed) -> Option<Self> {
         let gain: f64 = weighed.taus.iter().map(|t| t * t).sum();
         let columns: Vec<usize> = std::iter::once(0).chain(q.own.iter().map(|o| o.0)).collect();
         let priors: Vec<f64> = std::iter::once(gain).chain(q.own.iter().map(|o| weighed.powers[o.1])).collect();
@@ -52,7 +53,11 @@ impl Posterior {
         let said = DMatrix::from_fn(n, n, |i, j| {
             run.g[(columns[i], columns[j])] / weighed.variance + if i == j { 1.0 / priors[i] } else { 0.0 }
         });
-        let by = DVector::from_fn(n, |i, _| run.b[columns[i]] / weighed.variance);
+        let beside = |column: usize| {
+            let shared = q.shared(at).map(|(which, of, sd)| run.g[(column, of)] * sd * weighed.shared[which]);
+            run.b[column] - run.g[(column, 0)] * weighed.gains[at] - shared.sum::<f64>()
+        };
+        let by = DVector::from_fn(n, |i, _| beside(columns[i]) / weighed.variance);
         let solved = said.cholesky()?;
         Some(Self {
             mean: solved.solve(&by).rows(1, n - 1).into(),
@@ -109,7 +114,7 @@ mod tests {
             taus: [0.01; 5],
             belief: [0.0; 5],
             gains: vec![0.0; runs.len()],
-            common: Vec::new(),
+            shared: Vec::new(),
             powers,
         };
         of_one_amplitude(&runs, &q, &weighed)

@@ -1,9 +1,10 @@
 //! The motor's own parameters: free in every model, refitted from several starts.
 
+use super::free::Free;
 use super::library::LogNormal;
 use super::prior::Prior;
 use super::problem::{Model, Problem};
-use super::refit::{Free, objective, refit};
+use super::refit::{Covariance, objective, refit, squared_error};
 use super::rotor::{P, Parameters};
 use rayon::prelude::*;
 use twum_fit::noise::Noise;
@@ -134,15 +135,16 @@ fn at_resonance(model: &Model, home: &Parameters) -> Vec<Free> {
 }
 
 /// Squared error and what is known beforehand, in rpm²·s.
-fn misfit(problem: &Problem, model: &Model, free: &[Free], noise: Noise) -> f64 {
+fn misfit(problem: &Problem, model: &Model, free: &[Free], covariance: &Covariance) -> f64 {
     let prior: f64 = free.iter().map(|f| f.prior.log_density(model.parameters.get(f.parameter))).sum();
-    objective(problem, model, noise) - 2.0 * noise.variance * prior
+    objective(problem, model, covariance) - 2.0 * covariance.variance * prior
 }
 
-/// Noise of a first look: nothing is known yet but the size of the residuals.
-pub fn first_noise(problem: &Problem, model: &Model, independent: f64) -> Noise {
-    let square = objective(problem, model, Noise::PLAIN);
-    Noise { variance: (square / independent).max(1e-9), gain_spread: GAIN_SPREAD }
+/// Covariance of a first look: nothing is known yet but the size of the residuals.
+pub fn first_covariance(problem: &Problem, model: &Model, independent: f64) -> Covariance {
+    let square = squared_error(problem, model);
+    let variance = (square / independent).max(1e-9);
+    Covariance::by_chance(problem.runs.len(), Noise { variance, gain_spread: GAIN_SPREAD })
 }
 
 /// Spread of the gains of runs before anything is known of it: about a per cent, and what effects over the runs do besides.
@@ -166,26 +168,28 @@ const DETUNINGS: [f64; 3] = [0.05, 0.3, 0.9];
 /// brakes in between, and one whose wave is slow lie in valleys of their own.
 pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) -> Model {
     let few = problem.thinned();
-    let sorted = |problem: &Problem, independent: f64, models: Vec<Model>| -> (Vec<Model>, Noise) {
-        let noise = models
+    let sorted = |problem: &Problem, independent: f64, models: Vec<Model>| -> (Vec<Model>, Covariance) {
+        let covariance = models
             .par_iter()
-            .map(|m| first_noise(problem, m, independent))
+            .map(|m| first_covariance(problem, m, independent))
             .min_by(|a, b| a.variance.total_cmp(&b.variance))
-            .unwrap_or(Noise { variance: 1.0, gain_spread: GAIN_SPREAD });
-        let value = |m: &Model| misfit(problem, m, &at_resonance(m, home), noise);
+            .unwrap_or_else(|| first_covariance(problem, &problem.model(home.clone()), independent));
+        let value = |m: &Model| misfit(problem, m, &at_resonance(m, home), &covariance);
         let mut valued: Vec<(f64, Model)> = models.into_par_iter().map(|m| (value(&m), m)).collect();
         valued.sort_by(|a, b| a.0.total_cmp(&b.0));
         let models = valued.into_iter().map(|v| v.1).collect();
-        (models, noise)
+        (models, covariance)
     };
-    let heat =
-        |problem: &Problem, (models, noise): (Vec<Model>, Noise), (count, steps): (usize, usize)| -> Vec<Model> {
-            let fit = |m: Model| {
-                let free = at_resonance(&m, home);
-                refit(problem, m, &free, &[], noise, steps)
-            };
-            models.into_par_iter().take(count).map(fit).collect()
+    let heat = |problem: &Problem,
+                (models, covariance): (Vec<Model>, Covariance),
+                (count, steps): (usize, usize)|
+     -> Vec<Model> {
+        let fit = |m: Model| {
+            let free = at_resonance(&m, home);
+            refit(problem, m, &free, &[], &covariance, steps)
         };
+        models.into_par_iter().take(count).map(fit).collect()
+    };
     let independent_of_few = independent * (few.windows() / problem.windows().max(1.0)).min(1.0);
     let mut models = valleys(&few, home, &few.model(home.clone()));
     for size in HEATS {
@@ -193,15 +197,15 @@ pub fn refit_baseline(problem: &Problem, home: &Parameters, independent: f64) ->
     }
     let whole = models.into_iter().map(|m| problem.model(m.parameters)).collect();
     let finished = heat(problem, sorted(problem, independent, whole), FINAL);
-    let (best, noise) = sorted(problem, independent, finished);
+    let (best, covariance) = sorted(problem, independent, finished);
     let best = best.into_iter().next().unwrap_or_else(|| problem.model(home.clone()));
     let driven_beside = |detuning: f64| {
         let start = Model { parameters: best.parameters.with(P::Detuning, detuning), terms: best.terms.clone() };
         let free = with_any_contact(&start.parameters, home);
-        refit(problem, start, &free, &[], noise, FINAL.1)
+        refit(problem, start, &free, &[], &covariance, FINAL.1)
     };
     let beside: Vec<Model> = DETUNINGS.into_par_iter().map(driven_beside).collect();
-    let value = |m: &Model| misfit(problem, m, &with_any_contact(&m.parameters, home), noise);
+    let value = |m: &Model| misfit(problem, m, &with_any_contact(&m.parameters, home), &covariance);
     beside.into_iter().min_by(|a, b| value(a).total_cmp(&value(b))).unwrap_or(best)
 }
 

@@ -3,15 +3,15 @@
 use super::baseline::as_listed;
 use super::design::Column;
 use super::evidence::{Equations, Spreads, Start, weigh};
-use super::ground::Ground;
+use super::free::Free;
+use super::ground::{Ground, Scatter};
 use super::library::{Form, Phased, Size};
 use super::prior::Prior;
 use super::problem::Model;
-use super::refit::{Free, coefficients};
+use super::refit::coefficients;
 use super::rotor::P;
 use super::set::{Part, Set};
 use rayon::prelude::*;
-use twum_fit::noise::Noise;
 
 /// Linear gain in nats from which a form is refitted: a refit seldom finds more than another nat, and an effect costs three.
 pub(super) const LEAST_LOOK: f64 = 2.0;
@@ -67,7 +67,7 @@ impl Ground<'_> {
                     .into_iter()
                     .filter_map(|t| ask(sizes, pairs, &start(t, Spreads::Stay)));
                 let best = looks.max_by(|a, b| a.log.total_cmp(&b.log))?;
-                let values = self.admissible(spec, &best.common[base.common.len()..])?;
+                let values = self.admissible(spec, &best.shared[base.common.len()..])?;
                 Some(Candidate { effect: *effect, form: *form, gain: best.log - now.log, values })
             })
             .collect();
@@ -84,7 +84,7 @@ impl Ground<'_> {
             if let Some(Laid { sizes, pairs, .. }) = of(c)
                 && let Some(w) = ask(sizes, pairs, &start(from.weighed.taus, Spreads::Near))
                 && let Some(values) =
-                    self.admissible(&self.effects[c.effect].forms[c.form], &w.common[base.common.len()..])
+                    self.admissible(&self.effects[c.effect].forms[c.form], &w.shared[base.common.len()..])
             {
                 c.gain = w.log - now.log;
                 c.values = values;
@@ -160,8 +160,10 @@ impl Ground<'_> {
         }
         let mut parts = from.parts.clone();
         parts.push(part);
-        let noise = self.noise(from);
-        let noise = Noise { gain_spread: noise.gain_spread.min(0.02), ..noise };
+        // What the gains scatter by for want of the effect is not theirs.
+        let Scatter { variance, taus } = self.scatter(from);
+        let believed = self.level.believed();
+        let scatter = Scatter { variance, taus: std::array::from_fn(|k| taus[k].min(believed[k])) };
         let at = |share: f64| {
             let mut m = start.clone();
             for (s, v) in spec.sizes.iter().zip(&candidate.values) {
@@ -178,11 +180,11 @@ impl Ground<'_> {
                 starts.push(at(0.4));
             }
         }
-        let value = |m: &Model| self.misfit(m, &parts, noise);
-        let looked: Vec<Model> = starts.into_par_iter().map(|s| self.refitted(s, &parts, noise, 2)).collect();
+        let value = |m: &Model| self.misfit(m, &parts, scatter);
+        let looked: Vec<Model> = starts.into_par_iter().map(|s| self.refitted(s, &parts, scatter, 2)).collect();
         let best = looked.into_iter().min_by(|a, b| value(a).total_cmp(&value(b)));
         let model = best.unwrap_or(start);
-        let model = self.refitted(model, &parts, noise, 6);
+        let model = self.refitted(model, &parts, scatter, 6);
         self.weigh_set(parts, model, Some(root))
     }
 }

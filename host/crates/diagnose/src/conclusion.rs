@@ -9,7 +9,7 @@ use super::level::DUTY;
 use super::library::{Coordinate, Effect};
 use super::numbers::estimates;
 use super::problem::{Model, Problem};
-use super::refit::{objective, refit};
+use super::refit::squared_error;
 use super::rhythm;
 use super::set::{Part, Set, strip};
 use super::stats::HeldOut;
@@ -17,7 +17,6 @@ use super::verdict::{
     ALIKE, Background, CLOSED_TEMPERATURE, Judgement, LARGEST_P, LEAST_GAIN, MOST_OF_A_COURSE, NAMED, POSSIBLE,
     TEMPERATURE, Visited, judge,
 };
-use twum_fit::noise::Noise;
 use twum_record::measurement::RunKind;
 
 /// What the search is asked to do.
@@ -156,6 +155,13 @@ struct View<'a> {
 }
 
 impl View<'_> {
+    /// Whether a set leads all those without one of its effects by more than forms differ: its number may be uncertain where others can stand in for
+    /// it, that it is there is not.
+    fn leads_clearly(&self, set: &Set, effect: usize) -> bool {
+        let without = self.standing.sets.iter().filter(|s| !s.key().contains(&effect));
+        without.map(|s| s.score).fold(f64::NEG_INFINITY, f64::max) < set.score - ALIKE
+    }
+
     /// Names of the effects that cannot be told from one of these, but for itself.
     fn rivals(&self, effect: usize) -> Vec<String> {
         let judged = &self.standing.judged;
@@ -192,7 +198,7 @@ impl View<'_> {
             let p_null = self.chance.p(&held);
             let parameters = estimates(self.scorer, effect, accepted, part);
             let by_chance = p_null > LARGEST_P
-                || could_be_none(effect, part, &parameters)
+                || !self.leads_clearly(accepted, part.effect) && could_be_none(effect, part, &parameters)
                 || any_curve_does(ground.problem, effect, [&less, accepted]);
             let little = held.gain() < WORTH_A_CAUSE;
             let doubted = once || by_chance || little;
@@ -404,16 +410,14 @@ fn without(ground: &Ground, sets: &[Set], accepted: &Set, effect: usize) -> Set 
         let from: usize = accepted.parts[..k].iter().map(|p| p.phased.len()).sum();
         set.weighed.powers.drain(from..from + gone.phased.len());
         let model = strip(&set.model, &gone);
-        let phased: Vec<_> = set.parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
-        let free = ground.free(&model, &set.parts);
-        set.model = refit(ground.problem, model, &free, &phased, ground.noise(accepted), 4);
+        set.model = ground.refitted(model, &set.parts, ground.scatter(accepted), 4);
     }
     set
 }
 
 /// Shares of the baseline's squared error that each effect removes: the mean of adding it first and adding it last.
 fn share_out(root: &Set, sets: &[Set], accepted: &Set, ground: &Ground, findings: &mut [Finding]) {
-    let error = |s: &Set| objective(ground.problem, &s.model, Noise::PLAIN);
+    let error = |s: &Set| squared_error(ground.problem, &s.model);
     let (none, all) = (error(root), error(accepted));
     let removed: Vec<f64> = accepted
         .parts

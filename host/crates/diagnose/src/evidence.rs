@@ -13,7 +13,7 @@ use super::design::RunDesign;
 use super::form_error::FORM_ERROR;
 use super::gaussian::{Said, Together, join, log_det};
 use super::level::{Level, Taus};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 use twum_fit::normal::Normal;
 
@@ -123,16 +123,44 @@ impl Question {
     }
 
     /// The coefficients that run `run` shares with others: which they are of all such ones, their columns and standard deviations.
-    fn shared(&self, run: usize) -> impl Iterator<Item = (usize, usize, f64)> {
+    pub fn shared(&self, run: usize) -> impl Iterator<Item = (usize, usize, f64)> {
         let of_its_kind = self.kinds.get(run).map_or(0, |kind| self.common.len() + kind * self.by_kind.len());
         let common = self.common.iter().enumerate().map(|(k, c)| (k, c.0, c.1));
         common.chain(self.by_kind.iter().enumerate().map(move |(k, c)| (of_its_kind + k, c.0, c.1)))
+    }
+
+    /// The own coefficients of all runs beside the gains and the shared coefficients that are expected.
+    fn expected_own(
+        &self,
+        reduced: &[Reduced],
+        gains: &DVector<f64>,
+        shared: &DVector<f64>,
+        powers: &[f64],
+    ) -> ExpectedOwn {
+        let mut all = ExpectedOwn { from_none: 0.0, power: vec![0.0; powers.len()] };
+        for (run, gain) in reduced.iter().zip(gains.iter()) {
+            let Some(own) = &run.own else { continue };
+            let z = own.expected(*gain, run.said.shared.iter().map(|s| shared[*s]));
+            all.from_none += z.norm_squared();
+            for (i, o) in self.own.iter().enumerate() {
+                all.power[o.1] += (z[i] * z[i] + own.inverse[(i, i)]) * powers[o.1];
+            }
+        }
+        all
     }
 
     /// How many coefficients runs share.
     fn shared_count(&self) -> usize {
         self.common.len() + self.kinds.iter().max().map_or(0, |kind| (kind + 1) * self.by_kind.len())
     }
+}
+
+/// The runs' own coefficients, all together.
+struct ExpectedOwn {
+    /// How far they are from none, squared and in units of their priors.
+    from_none: f64,
+    /// The squares of each group's, summed.
+    power: Vec<f64>,
 }
 
 /// What was found by integrating.
@@ -150,8 +178,8 @@ pub struct Weighed {
     pub belief: Taus,
     /// Gain of each run.
     pub gains: Vec<f64>,
-    /// Expected coefficient of each common column.
-    pub common: Vec<f64>,
+    /// Expected coefficients that runs share, the common ones first, in units of their standard deviations.
+    pub shared: Vec<f64>,
     /// Power of each group.
     pub powers: Vec<f64>,
 }
@@ -180,17 +208,34 @@ pub enum Spreads {
     Anywhere,
 }
 
-struct Reduced {
-    said: Said,
+/// What a run says with its own coefficients integrated.
+pub(super) struct Reduced {
+    pub said: Said,
     yy: f64,
     log_det: f64,
     freedom: f64,
-    own_quadratic: f64,
-    power: Vec<f64>,
+    own: Option<Own>,
+}
+
+/// The own coefficients of a run, in units of the square roots of their powers.
+struct Own {
+    precision: Cholesky<f64, Dyn>,
+    inverse: DMatrix<f64>,
+    /// How they hang together with the run's gain and the shared coefficients that it has.
+    link: DMatrix<f64>,
+    r: DVector<f64>,
+}
+
+impl Own {
+    /// What they are expected to be beside a gain and shared coefficients.
+    fn expected(&self, gain: f64, shared: impl Iterator<Item = f64>) -> DVector<f64> {
+        let rest = DVector::from_iterator(self.link.ncols(), std::iter::once(gain).chain(shared));
+        self.precision.solve(&(&self.r - &self.link * rest))
+    }
 }
 
 /// Integrates the own coefficients of a run, the one of index `at`.
-fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) -> Reduced {
+pub(super) fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) -> Reduced {
     let columns: Vec<(usize, usize, f64)> = q.shared(at).collect();
     let rest: Vec<usize> = std::iter::once(0).chain(columns.iter().map(|c| c.1)).collect();
     let scale: Vec<f64> = std::iter::once(1.0).chain(columns.iter().map(|c| c.2)).collect();
@@ -201,14 +246,7 @@ fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) 
         shared: columns.iter().map(|c| c.0).collect(),
     };
     let k = q.own.len();
-    let mut out = Reduced {
-        yy: run.yy / variance,
-        log_det: 0.0,
-        freedom: 0.0,
-        own_quadratic: 0.0,
-        power: vec![0.0; powers.len()],
-        said,
-    };
+    let mut out = Reduced { yy: run.yy / variance, log_det: 0.0, freedom: 0.0, own: None, said };
     if k > 0 {
         let sd: Vec<f64> = q.own.iter().map(|o| powers[o.1].sqrt()).collect();
         let m = DMatrix::from_fn(k, k, |i, j| {
@@ -216,18 +254,15 @@ fn reduce(run: &Normal, at: usize, q: &Question, powers: &[f64], variance: f64) 
         });
         let link = DMatrix::from_fn(k, n, |i, j| run.g[(q.own[i].0, rest[j])] * sd[i] * scale[j] / variance);
         let r = DVector::from_fn(k, |i, _| run.b[q.own[i].0] * sd[i] / variance);
-        if let Some(chol) = m.cholesky() {
-            out.log_det = log_det(&chol);
-            let z = chol.solve(&r);
-            let inverse = chol.inverse();
-            out.said.g -= link.tr_mul(&chol.solve(&link));
+        if let Some(precision) = m.cholesky() {
+            out.log_det = log_det(&precision);
+            let z = precision.solve(&r);
+            let inverse = precision.inverse();
+            out.said.g -= link.tr_mul(&precision.solve(&link));
             out.said.b -= link.tr_mul(&z);
             out.yy -= r.dot(&z);
-            for (i, o) in q.own.iter().enumerate() {
-                out.power[o.1] += (z[i] * z[i] + inverse[(i, i)]) * sd[i] * sd[i];
-                out.freedom += 1.0 - inverse[(i, i)];
-            }
-            out.own_quadratic = z.dot(&z);
+            out.freedom = k as f64 - inverse.trace();
+            out.own = Some(Own { precision, inverse, link, r });
         }
     }
     out
@@ -263,7 +298,7 @@ impl<'a> Promise<'a> {
         powers.resize(groups, AS_LARGE_AS_IT_LIKES * AS_LARGE_AS_IT_LIKES);
         let runs = self.equations.runs.iter().enumerate();
         let reduced: Vec<Reduced> = runs.map(|(i, run)| reduce(run, i, q, &powers, self.now.variance)).collect();
-        let together = Together::new(reduced.iter().map(|r| &r.said), q.shared_count());
+        let together = Together::new(reduced.iter().map(|r| &r.said), &vec![1.0; q.shared_count()]);
         join(&together, &self.covariance).map(|joint| reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained)
     }
 
@@ -296,7 +331,7 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
         last |= round + 1 == ROUNDS;
         let reduced: Vec<Reduced> =
             equations.runs.iter().enumerate().map(|(i, r)| reduce(r, i, q, &powers, variance)).collect();
-        let together = Together::new(reduced.iter().map(|r| &r.said), q.shared_count());
+        let together = Together::new(reduced.iter().map(|r| &r.said), &vec![1.0; q.shared_count()]);
         if start.spreads != Spreads::Stay && (round == 1 || last) {
             let likely =
                 |c: &DMatrix<f64>| join(&together, c).map_or(f64::NEG_INFINITY, |j| 0.5 * (j.explained - j.log_det));
@@ -310,13 +345,13 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
         let taken = *common_freedom.get_or_insert_with(|| joint.freedom());
         let freedom = reduced.iter().map(|r| r.freedom).sum::<f64>() + taken;
         let quadratic = reduced.iter().map(|r| r.yy).sum::<f64>() - joint.explained;
-        let prior = from_none + reduced.iter().map(|r| r.own_quadratic).sum::<f64>();
+        let own = q.expected_own(&reduced, &gains, &joint.common, &powers);
+        let prior = from_none + own.from_none;
         let left = (quadratic - prior).max(0.0) * variance;
         let log = -0.5 * independent * variance.ln()
             - 0.5 * quadratic
             - 0.5 * (joint.log_det + reduced.iter().map(|r| r.log_det).sum::<f64>())
             + level.log_prior(&taus);
-        let commons = q.common.iter().zip(joint.common.iter()).map(|(c, x)| c.1 * x).collect();
         found = Some(Weighed {
             log,
             left,
@@ -324,7 +359,7 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
             taus,
             belief: level.log_priors(&taus),
             gains: gains.as_slice().to_vec(),
-            common: commons,
+            shared: joint.common.as_slice().to_vec(),
             powers: powers.clone(),
         });
         if last {
@@ -335,8 +370,7 @@ pub fn weigh(equations: &Equations, level: &Level, q: &Question, start: &Start) 
         let mut moved = (next / variance).ln().abs();
         variance = next;
         for (k, p) in powers.iter_mut().enumerate() {
-            let sum: f64 = reduced.iter().map(|r| r.power[k]).sum();
-            let next = (sum / (sizes[k] * reduced.len() as f64)).max(1e-9);
+            let next = (own.power[k] / (sizes[k] * reduced.len() as f64)).max(1e-9);
             moved = moved.max((next / *p).ln().abs());
             *p = next;
         }

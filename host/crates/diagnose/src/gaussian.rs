@@ -12,24 +12,32 @@ pub(super) struct Said {
     pub shared: Vec<usize>,
 }
 
+impl Said {
+    /// Of a gain alone, with this precision and that times what it would be.
+    pub(super) fn of_a_gain(precision: f64, b: f64) -> Self {
+        Self { g: DMatrix::from_element(1, 1, precision), b: DVector::from_element(1, b), shared: Vec::new() }
+    }
+}
+
 /// What the runs say together, whatever the covariance of their gains: of the gains the diagonal D, of the gains and the shared coefficients H.
 pub(super) struct Together {
     /// √D.
     root: Vec<f64>,
     /// The first column is what the runs say of their gains, the others are H.
     said: DMatrix<f64>,
-    /// Precision of the shared coefficients, the priors' 1 in it.
+    /// Precision of the shared coefficients, the priors' in it.
     g: DMatrix<f64>,
     b: DVector<f64>,
 }
 
 impl Together {
-    /// Of runs that share so many coefficients.
-    pub(super) fn new<'a>(runs: impl ExactSizeIterator<Item = &'a Said>, shared: usize) -> Self {
+    /// Of runs that share coefficients, which their priors give this `precision`.
+    pub(super) fn new<'a>(runs: impl ExactSizeIterator<Item = &'a Said>, precision: &[f64]) -> Self {
+        let shared = precision.len();
         let mut all = Self {
             root: Vec::with_capacity(runs.len()),
             said: DMatrix::zeros(runs.len(), 1 + shared),
-            g: DMatrix::identity(shared, shared),
+            g: DMatrix::from_diagonal(&DVector::from_column_slice(precision)),
             b: DVector::zeros(shared),
         };
         for (i, run) in runs.enumerate() {
@@ -55,26 +63,24 @@ impl Together {
     }
 }
 
-/// The gains of all runs and the shared coefficients as one Gaussian, the gains with covariance C. It is worked out from
-/// M = 1 + √D·C·√D = L·Lᵀ, for a decomposition of C itself costs as much again: the gains have the covariance
-/// V = (C⁻¹ + D)⁻¹ = C − C·√D·M⁻¹·√D·C with the data (Woodbury).
-pub(super) struct Joint<'a> {
+/// What the runs say of the shared coefficients with the gains, of covariance C, integrated. It is worked out from M = 1 + √D·C·√D = L·Lᵀ, for a
+/// decomposition of C itself costs as much again: the gains have the covariance V = (C⁻¹ + D)⁻¹ = C − C·√D·M⁻¹·√D·C with the data (Woodbury).
+pub(super) struct BesideGains<'a> {
     together: &'a Together,
     covariance: &'a DMatrix<f64>,
-    /// Log determinant of prior times precision.
-    pub log_det: f64,
-    /// What the expected values explain of the squared error, in units of the variance.
+    /// Precision of the shared coefficients, the priors' in it.
+    pub g: DMatrix<f64>,
+    /// The same times what they would be.
+    pub b: DVector<f64>,
+    /// What the gains explain of the squared error where nothing is shared, in units of the variance.
     pub explained: f64,
-    /// Expected shared coefficients.
-    pub common: DVector<f64>,
     of_gains: Cholesky<f64, Dyn>,
-    of_common: Cholesky<f64, Dyn>,
     /// L⁻¹·√D·C times what the runs say.
     half: DMatrix<f64>,
 }
 
-/// Of a covariance of the gains; none where it cannot be decomposed.
-pub(super) fn join<'a>(together: &'a Together, covariance: &'a DMatrix<f64>) -> Option<Joint<'a>> {
+/// Integrates gains of this covariance; none where it cannot be decomposed.
+pub(super) fn beside_gains<'a>(together: &'a Together, covariance: &'a DMatrix<f64>) -> Option<BesideGains<'a>> {
     let Together { root, said, g, b } = together;
     let (r, shared) = (root.len(), b.len());
     let m = DMatrix::from_fn(r, r, |i, j| root[i] * covariance[(i, j)] * root[j] + f64::from(u8::from(i == j)));
@@ -83,22 +89,18 @@ pub(super) fn join<'a>(together: &'a Together, covariance: &'a DMatrix<f64>) -> 
     let half = of_gains.l_dirty().solve_lower_triangular(&together.scaled(through_prior.clone()))?;
     // What the runs say of their gains and H, both sides of V.
     let around = said.transpose() * &through_prior - half.transpose() * &half;
-    let b = b - around.view((1, 0), (shared, 1));
-    let of_common = (g - around.view((1, 1), (shared, shared))).cholesky()?;
-    let common = of_common.solve(&b);
-    Some(Joint {
+    Some(BesideGains {
         together,
         covariance,
-        log_det: log_det(&of_gains) + log_det(&of_common),
-        explained: around[(0, 0)] + b.dot(&common),
-        common,
+        g: g - around.view((1, 1), (shared, shared)),
+        b: b - around.view((1, 0), (shared, 1)),
+        explained: around[(0, 0)],
         of_gains,
-        of_common,
         half,
     })
 }
 
-impl Joint<'_> {
+impl BesideGains<'_> {
     /// C⁻¹·V times what the runs say, combined by `weights`.
     fn pulled(&self, weights: &DMatrix<f64>) -> DMatrix<f64> {
         let mut back = &self.half * weights;
@@ -106,23 +108,57 @@ impl Joint<'_> {
         &self.together.said * weights - self.together.scaled(back)
     }
 
+    /// Expected gains beside these shared coefficients, and how far gains and coefficients are from none, squared and in units of their priors.
+    pub fn gains(&self, shared: &DVector<f64>) -> (DVector<f64>, f64) {
+        let beside = shared.map(|c| -c).insert_row(0, 1.0);
+        let pulled = self.pulled(&DMatrix::from_column_slice(beside.len(), 1, beside.as_slice()));
+        let gains = (self.covariance * &pulled).column(0).into_owned();
+        let from_none = gains.dot(&pulled.column(0)) + shared.dot(shared);
+        (gains, from_none)
+    }
+}
+
+/// The gains of all runs and the shared coefficients as one Gaussian.
+pub(super) struct Joint<'a> {
+    beside: BesideGains<'a>,
+    /// Log determinant of prior times precision.
+    pub log_det: f64,
+    /// What the expected values explain of the squared error, in units of the variance.
+    pub explained: f64,
+    /// Expected shared coefficients.
+    pub common: DVector<f64>,
+    of_common: Cholesky<f64, Dyn>,
+}
+
+/// Of a covariance of the gains; none where it cannot be decomposed.
+pub(super) fn join<'a>(together: &'a Together, covariance: &'a DMatrix<f64>) -> Option<Joint<'a>> {
+    let beside = beside_gains(together, covariance)?;
+    let of_common = beside.g.clone().cholesky()?;
+    let common = of_common.solve(&beside.b);
+    Some(Joint {
+        log_det: log_det(&beside.of_gains) + log_det(&of_common),
+        explained: beside.explained + beside.b.dot(&common),
+        common,
+        of_common,
+        beside,
+    })
+}
+
+impl Joint<'_> {
     /// Expected gains, and how far gains and shared coefficients are from none, squared and in units of their priors.
     pub fn gains(&self) -> (DVector<f64>, f64) {
-        let beside_common = self.common.map(|c| -c).insert_row(0, 1.0);
-        let pulled = self.pulled(&DMatrix::from_column_slice(beside_common.len(), 1, beside_common.as_slice()));
-        let gains = (self.covariance * &pulled).column(0).into_owned();
-        let from_none = gains.dot(&pulled.column(0)) + self.common.dot(&self.common);
-        (gains, from_none)
+        self.beside.gains(&self.common)
     }
 
     /// How many numbers the data fix: one for each gain and column that the priors say nothing of beside them.
     pub fn freedom(&self) -> f64 {
-        let (runs, shared) = (self.together.root.len(), self.common.len());
+        let BesideGains { together, covariance, of_gains, .. } = &self.beside;
+        let (runs, shared) = (together.root.len(), self.common.len());
         let of_h = DMatrix::from_fn(1 + shared, shared, |i, j| f64::from(u8::from(i == j + 1)));
-        let pulled = self.pulled(&of_h);
-        let spread = self.covariance * &pulled;
+        let pulled = self.beside.pulled(&of_h);
+        let spread = *covariance * &pulled;
         let through_common = self.of_common.solve(&spread.tr_mul(&pulled)).trace();
-        (runs + shared) as f64 - self.of_gains.inverse().trace() - self.of_common.inverse().trace() - through_common
+        (runs + shared) as f64 - of_gains.inverse().trace() - self.of_common.inverse().trace() - through_common
     }
 }
 
@@ -153,7 +189,7 @@ mod tests {
             .collect();
         let root = any(r, r) * 0.3;
         let covariance = &root * root.transpose();
-        let together = Together::new(runs.iter(), shared);
+        let together = Together::new(runs.iter(), &vec![1.0; shared]);
         let joint = join(&together, &covariance).expect("it can be solved");
         let (gains, from_none) = joint.gains();
 

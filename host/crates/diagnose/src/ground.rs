@@ -5,11 +5,12 @@ use super::design::Column;
 use super::discrepancy::{Term, terms};
 use super::evidence::{Question, independent};
 use super::form_error::FormError;
-use super::level::Level;
+use super::free::{Free, columns_of};
+use super::level::{Level, Taus};
 use super::library::{Coordinate, Effect, Phased};
 use super::observe::Observed;
 use super::problem::{Model, Problem};
-use super::refit::{Free, columns_of, objective, refit};
+use super::refit::{Covariance, objective, refit};
 use super::rotor::Parameters;
 use super::set::{Part, Set};
 use super::timing::{STEP_S, TIMING, TIMING_S, alike};
@@ -33,6 +34,15 @@ pub struct Ground<'a> {
     pub terms: Vec<Term>,
     /// The squared error that counts as one of the forms, in rpm²·s.
     pub form_error: FormError,
+}
+
+/// What residuals scatter by, whichever runs they are of.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Scatter {
+    /// Variance of a residual.
+    pub variance: f64,
+    /// Spreads of the gains.
+    pub taus: Taus,
 }
 
 impl<'a> Ground<'a> {
@@ -71,11 +81,22 @@ impl<'a> Ground<'a> {
     }
 
     /// Squared error in rpm²·s less what the priors are worth of it.
-    pub(super) fn misfit(&self, model: &Model, parts: &[Part], noise: Noise) -> f64 {
-        objective(self.problem, model, noise) - 2.0 * noise.variance * self.log_prior(model, parts)
+    pub(super) fn misfit(&self, model: &Model, parts: &[Part], scatter: Scatter) -> f64 {
+        let left = objective(self.problem, model, &self.covariance(scatter));
+        left - 2.0 * scatter.variance * self.log_prior(model, parts)
     }
 
-    /// What residuals scatter in a set.
+    /// What residuals scatter by in a set.
+    pub(super) fn scatter(&self, set: &Set) -> Scatter {
+        Scatter { variance: set.weighed.variance, taus: set.weighed.taus }
+    }
+
+    /// The covariance that makes of these runs.
+    pub(super) fn covariance(&self, Scatter { variance, taus }: Scatter) -> Covariance {
+        Covariance { variance, gains: self.level.between(&taus) }
+    }
+
+    /// What residuals scatter by in a set where the gain of each run is its own.
     pub fn noise(&self, set: &Set) -> Noise {
         let [chance, duty, direction, both, order] = set.weighed.taus;
         let spread = [chance, duty, direction, both, order].iter().map(|t| t * t).sum::<f64>().sqrt();
@@ -89,10 +110,9 @@ impl<'a> Ground<'a> {
     }
 
     /// The model refitted with the effects in it.
-    pub(super) fn refitted(&self, model: Model, parts: &[Part], noise: Noise, steps: usize) -> Model {
-        let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+    pub(super) fn refitted(&self, model: Model, parts: &[Part], scatter: Scatter, steps: usize) -> Model {
         let free = self.free(&model, parts);
-        refit(self.problem, model, &free, &phased, noise, steps)
+        refit(self.problem, model, &free, &phased_of(parts), &self.covariance(scatter), steps)
     }
 
     /// Columns of a set: gain, other free parameters, phased pairs, the timing of pulses; and what is asked of them.
@@ -125,4 +145,9 @@ impl<'a> Ground<'a> {
         }
         (columns, Question { common, by_kind, kinds, own })
     }
+}
+
+/// What goes with the angle in any of the parts.
+pub(super) fn phased_of(parts: &[Part]) -> Vec<Phased> {
+    parts.iter().flat_map(|p| p.phased.iter().copied()).collect()
 }

@@ -2,11 +2,12 @@
 
 use super::design::Column;
 use super::discrepancy::SIZE;
-use super::ground::Ground;
+use super::free::columns_of;
+use super::ground::{Ground, phased_of};
 use super::library::Phased;
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM};
-use super::refit::{coefficients, columns_of, refit};
+use super::refit::{coefficients, refit};
 use super::set::{Part, Set};
 use super::stats::{Fold, Grams, Group, HeldOut, Prior, folds};
 use std::f64::consts::{PI, TAU};
@@ -178,13 +179,13 @@ impl<'a> Scorer<'a> {
     }
 
     fn refit_on(&self, problem: &Problem, model: &Model, parts: &[Part], set: &Set) -> Model {
-        let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
         // Under full drive a rotor starts once and never stops: a turn of it says nothing of its friction.
         let mut free = self.ground.free(model, parts);
         if !problem.pulsed() {
             free.truncate(1);
         }
-        refit(problem, model.clone(), &free, &phased, self.ground.noise(set), 8)
+        let covariance = self.ground.covariance(self.ground.scatter(set));
+        refit(problem, model.clone(), &free, &phased_of(parts), &covariance, 8)
     }
 
     /// r² of the mean speeds of held-out runs; none below three duties.

@@ -95,8 +95,13 @@ impl Level {
 
     /// Covariance of the gains.
     pub fn covariance(&self, taus: &Taus) -> DMatrix<f64> {
+        self.between(taus).add_scalar(COMMON * COMMON)
+    }
+
+    /// The same of what runs differ by, beside a free speed that is fitted.
+    pub fn between(&self, taus: &Taus) -> DMatrix<f64> {
         let n = self.kernels[0].nrows();
-        let mut c = DMatrix::from_element(n, n, COMMON * COMMON);
+        let mut c = DMatrix::zeros(n, n);
         for (kernel, tau) in self.kernels.iter().zip(taus) {
             c.zip_apply(kernel, |a, k| *a += k * tau * tau);
         }

@@ -39,6 +39,7 @@ pub mod evidence;
 pub mod finding;
 pub mod form_error;
 pub mod formula;
+mod free;
 pub mod gaps;
 mod gaussian;
 pub mod ground;

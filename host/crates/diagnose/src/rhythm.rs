@@ -3,10 +3,12 @@
 //! Sets are weighed and refitted under a tempered likelihood, which takes what is left for errors of forms, few and slow: it holds the coefficients
 //! of single runs back by more than sampling does. A run that turns round tells them apart from what is slow.
 
+use super::design::RunDesign;
+use super::free::columns_of;
 use super::ground::Ground;
 use super::library::Phased;
 use super::problem::Problem;
-use super::refit::{FIRST_POWER, coefficients, columns_of, equations, expected_power, precision, put_coefficients};
+use super::refit::{FIRST_POWER, coefficients, equations, expected_power, precision, put_coefficients};
 use super::set::Set;
 use twum_fit::noise::Noise;
 use twum_fit::normal::Normal;
@@ -82,7 +84,8 @@ impl Beside {
         columns.extend(phased.iter().flat_map(|p| p.columns()));
         let designs = ground.problem.design(&set.model, &columns);
         let now = coefficients(&set.model, phased);
-        let runs = designs.iter().zip(&now).map(|(design, own)| equations(design, 1, own, noise)).collect();
+        let of = |(design, own): (&RunDesign, &Vec<f64>)| equations(design, 1, own).without_gain(0, noise);
+        let runs = designs.iter().zip(&now).map(of).collect();
         Self { runs, noise, pairs: phased.len() }
     }
 
@@ -123,7 +126,7 @@ mod tests {
         let ground = Ground::new(&problem, rotor.clone(), &effects, Vec::new());
         let root = ground.root(problem.model(rotor));
         let part = Part { effect: 0, form: 0, free: Vec::new(), phased: vec![Phased::Runout(0)] };
-        let model = ground.refitted(root.model.clone(), std::slice::from_ref(&part), ground.noise(&root), 8);
+        let model = ground.refitted(root.model.clone(), std::slice::from_ref(&part), ground.scatter(&root), 8);
         let set = ground.weigh_set(vec![part], model, Some(&root));
         let whole = whole(&ground, &set);
         let amplitudes = |set: &Set| -> Vec<f64> {

@@ -1,8 +1,9 @@
 //! Runs of a TWUM, one or many, open or closed loop: lost time put back, the baseline refitted, sets weighed.
 
-use super::baseline::{baseline_free, first_noise, refit_baseline};
+use super::baseline::{baseline_free, first_covariance, refit_baseline};
 use super::conclusion::{Outcome, Settings, conclude};
 use super::evidence::independent;
+use super::free::Free;
 use super::gaps::{self, Beside, Gaps};
 use super::ground::Ground;
 use super::held_out::Scorer;
@@ -10,9 +11,8 @@ use super::library::{Effect, library, not_judged};
 use super::prior::Prior;
 use super::problem::{Model, Problem};
 use super::pwm_line::{LARGEST as LARGEST_CLOCK_ERROR, clock_errors};
-use super::refit::{Free, objective, refit};
+use super::refit::{refit, squared_error};
 use super::rotor::{P, Parameters};
-use twum_fit::noise::Noise;
 
 /// Diagnoses runs, starting from the motor file's rotor.
 pub fn diagnose_runs(
@@ -142,28 +142,28 @@ const CLOCK_STEPS: usize = 6;
 fn clock_instead(problem: &Problem, baseline: &Model, home: &Parameters, gaps: &Gaps) -> Option<Model> {
     let rows: usize = problem.runs.iter().map(|r| r.windows.len()).sum();
     let refitted = |of: &Problem, home: &Parameters| refit_baseline(of, home, rows as f64);
-    let with_gaps = objective(&gaps.problem, &refitted(&gaps.problem, home), Noise::PLAIN);
+    let with_gaps = squared_error(&gaps.problem, &refitted(&gaps.problem, home));
     let beside = |error: f64| {
         let model = refitted(problem, &home.with(P::ClockError, error));
         let mut free = baseline_free(&model.parameters, home, false);
         let bounds = (-LARGEST_CLOCK_ERROR, LARGEST_CLOCK_ERROR);
         free.retain(|own| own.parameter != P::ClockError);
         free.push(Free { parameter: P::ClockError, scale: 1e-3, bounds, prior: Prior::Flat });
-        let noise = first_noise(problem, &model, rows as f64);
-        refit(problem, model, &free, &[], noise, CLOCK_STEPS)
+        let covariance = first_covariance(problem, &model, rows as f64);
+        refit(problem, model, &free, &[], &covariance, CLOCK_STEPS)
     };
     // Near nothing the line may not part from its place.
     let at = |error: f64| {
         let mut m = baseline.clone();
         m.parameters.set(P::ClockError, error);
-        (objective(problem, &m, Noise::PLAIN), error)
+        (squared_error(problem, &m), error)
     };
     let near = (-30..=30).filter(|k| *k != 0).map(|k| at(4e-4 * f64::from(k)));
     let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0)).map(|n| n.1);
     let clocks = clock_errors(problem).into_iter().chain(nearest).map(beside);
     let (misfit, clock) =
-        clocks.map(|model| (objective(problem, &model, Noise::PLAIN), model)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+        clocks.map(|model| (squared_error(problem, &model), model)).min_by(|a, b| a.0.total_cmp(&b.0))?;
     // Of another error that neither touches, a twentieth may be more than all that the gaps take.
-    let taken = (objective(problem, baseline, Noise::PLAIN) - with_gaps).max(0.0);
+    let taken = (squared_error(problem, baseline) - with_gaps).max(0.0);
     (misfit - with_gaps < 0.05 * with_gaps.min(taken)).then_some(clock)
 }

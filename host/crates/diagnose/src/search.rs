@@ -150,7 +150,7 @@ impl Ground<'_> {
                 break;
             };
             done.push(next.key());
-            let model = self.refitted(next.model.clone(), &next.parts, self.noise(&next), LAST_STEPS);
+            let model = self.refitted(next.model.clone(), &next.parts, self.scatter(&next), LAST_STEPS);
             let finished = self.weigh_beside(next.parts, model, &pool[0]);
             // Also where it is worse: what the equations promise around a model that is not refitted to the end may not be kept.
             let counts = |s: &Set| finished.score > s.score || finished.score < s.score - NOT_KEPT;
@@ -169,7 +169,7 @@ impl Ground<'_> {
     /// Refits the baseline with the noise that it leaves, until that changes nothing: the first look took the noise from the misfit.
     fn settle(&self, pool: &mut [Set]) {
         for _ in 0..3 {
-            let model = self.refitted(pool[0].model.clone(), &[], self.noise(&pool[0]), 8);
+            let model = self.refitted(pool[0].model.clone(), &[], self.scatter(&pool[0]), 8);
             let again = self.root(model);
             if again.score < pool[0].score + 0.1 {
                 break;
@@ -182,7 +182,7 @@ impl Ground<'_> {
     fn of_the_file(&self, pool: &mut [Set]) -> Set {
         let own = &pool[0].model;
         let listed = Model { parameters: as_listed(&own.parameters, &self.home), terms: own.terms.clone() };
-        let model = self.refitted(at_speed(self.problem, listed), &[], self.noise(&pool[0]), 8);
+        let model = self.refitted(at_speed(self.problem, listed), &[], self.scatter(&pool[0]), 8);
         let listed = self.root(model);
         if listed.score > pool[0].score { std::mem::replace(&mut pool[0], listed) } else { listed }
     }
@@ -230,7 +230,7 @@ impl Ground<'_> {
         let Some(&effect) = self.usable.iter().find(sized) else { return };
         model.parameters.set(size, value);
         let parts = vec![Part { effect, form: 0, free: free_of(&self.effects[effect].forms[0]), phased: Vec::new() }];
-        let model = self.refitted(model, &parts, self.noise(&pool[0]), 8);
+        let model = self.refitted(model, &parts, self.scatter(&pool[0]), 8);
         self.put(self.weigh_set(parts, model, Some(&pool[0])), pool);
     }
 
@@ -239,13 +239,13 @@ impl Ground<'_> {
     fn reseat(&self, pool: &mut Vec<Set>) {
         let Some(best) = pool.iter().skip(1).max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
         let bare = best.parts.iter().fold(best.model.clone(), |model, part| strip(&model, part));
-        let model = self.refitted(bare, &[], self.noise(best), 8);
+        let model = self.refitted(bare, &[], self.scatter(best), 8);
         let again = self.root(model);
         if again.score > pool[0].score + 1.0 {
             let others = pool.split_off(1);
             pool[0] = again;
             for set in others {
-                let model = self.refitted(set.model.clone(), &set.parts, self.noise(&set), 8);
+                let model = self.refitted(set.model.clone(), &set.parts, self.scatter(&set), 8);
                 self.put(self.weigh_set(set.parts, model, Some(&pool[0])), pool);
             }
             let root = pool[0].clone();
@@ -266,10 +266,10 @@ impl Ground<'_> {
         let few = self.problem.thinned();
         for at in clear.into_iter().take(TRIED) {
             let set = &pool[at];
-            let noise = self.noise(set);
-            let (ground, noise_of_few) = self.of_some_runs(&few, noise);
+            let scatter = self.scatter(set);
+            let (ground, scatter_of_few) = self.of_some_runs(&few, scatter);
             let sorted = |models: Vec<Model>| {
-                let value = |m: Model| (ground.misfit(&m, &set.parts, noise_of_few), m);
+                let value = |m: Model| (ground.misfit(&m, &set.parts, scatter_of_few), m);
                 let mut valued: Vec<(f64, Model)> = models.into_par_iter().map(value).collect();
                 valued.sort_by(|a, b| a.0.total_cmp(&b.0));
                 valued.into_iter().map(|(_, m)| m)
@@ -277,10 +277,10 @@ impl Ground<'_> {
             let mut others = valleys(&few, &self.home, &self.problem.of_the_runs_of(&few, &set.model)).split_off(1);
             for (count, steps) in LOOKS {
                 let looked = sorted(others).take(count).collect::<Vec<_>>().into_par_iter();
-                others = looked.map(|m| ground.refitted(m, &set.parts, noise_of_few, steps)).collect();
+                others = looked.map(|m| ground.refitted(m, &set.parts, scatter_of_few, steps)).collect();
             }
             let Some(Model { parameters, .. }) = sorted(others).next() else { continue };
-            let model = self.refitted(Model { parameters, ..set.model.clone() }, &set.parts, noise, 8);
+            let model = self.refitted(Model { parameters, ..set.model.clone() }, &set.parts, scatter, 8);
             let again = self.weigh_set(set.parts.clone(), model, Some(&pool[0]));
             if again.score > pool[at].score {
                 pool[at] = again;
@@ -343,9 +343,9 @@ impl Ground<'_> {
                 }
             }
         }
-        let noise = self.noise(&leader);
+        let scatter = self.scatter(&leader);
         let refitted = |(parts, model): (Vec<Part>, Model)| {
-            let model = self.refitted(model, &parts, noise, 8);
+            let model = self.refitted(model, &parts, scatter, 8);
             self.weigh_set(parts, model, Some(&pool[0]))
         };
         let wider = wider.into_par_iter().map(refitted).collect();
@@ -371,7 +371,7 @@ impl Ground<'_> {
     fn without(&self, set: &Set, k: usize, steps: usize, root: &Set) -> Set {
         let mut parts = set.parts.clone();
         let gone = parts.remove(k);
-        let model = self.refitted(strip(&set.model, &gone), &parts, self.noise(set), steps);
+        let model = self.refitted(strip(&set.model, &gone), &parts, self.scatter(set), steps);
         self.weigh_beside(parts, model, root)
     }
 
@@ -465,7 +465,7 @@ impl Ground<'_> {
                     })
                     .collect();
                 put_coefficients(&mut model, &spec.phased, &values);
-                let model = self.refitted(model, &parts, self.noise(set), 6);
+                let model = self.refitted(model, &parts, self.scatter(set), 6);
                 self.put(self.weigh_set(parts, model, Some(&pool[0])), pool);
             }
         }

@@ -1,10 +1,11 @@
 //! A set of effects: what is in it, the model with them, and what it weighs.
 
 use super::evidence::Weighed;
+use super::free::Free;
 use super::level::Taus;
 use super::library::Phased;
 use super::problem::Model;
-use super::refit::{Free, put_coefficients};
+use super::refit::put_coefficients;
 use super::rotor::{P, Parameters};
 use super::verdict::{Course, Visited};
 

@@ -3,14 +3,13 @@
 
 use super::baseline::at_speed;
 use super::candidate::free_of;
-use super::ground::Ground;
+use super::ground::{Ground, Scatter};
 use super::library::Form;
 use super::problem::{Model, Problem};
 use super::rotor::{P, Parameters};
 use super::search::{FEW_STEPS, TRIED};
 use super::set::{Part, Set};
 use rayon::prelude::*;
-use twum_fit::noise::Noise;
 
 /// Pairs of effects that are refitted.
 const PAIRS: usize = 2;
@@ -53,24 +52,24 @@ impl Ground<'_> {
             self.usable.iter().flat_map(|e| self.effects[*e].forms.iter().enumerate().map(move |(k, f)| (*e, k, f)));
         let (effect, form, spec) = forms.filter(|f| of_error(f.2)).min_by(|a, b| far(a.2).total_cmp(&far(b.2)))?;
         let parts = vec![Part { effect, form, free: free_of(spec), phased: Vec::new() }];
-        let model = self.refitted(model.clone(), &parts, self.noise(root), 8);
+        let model = self.refitted(model.clone(), &parts, self.scatter(root), 8);
         Some(self.weigh_set(parts, model, Some(root)))
     }
 
     /// Effects that do most alone where they are as large as is plausible and the motor is refitted beside them, to a few of the runs: what the
     /// baseline's refit has taken up of an effect, no look around that baseline shows.
     pub(super) fn each_alone(&self, other: &Set, pool: &mut Vec<Set>) {
-        let noise = self.noise(&pool[0]);
+        let scatter = self.scatter(&pool[0]);
         let few = self.problem.thinned();
-        let (ground, noise_of_few) = self.of_some_runs(&few, noise);
+        let (ground, scatter_of_few) = self.of_some_runs(&few, scatter);
         let motors = [&pool[0], other].map(|set| set.model.parameters.clone());
-        let held = |effect: &usize| ground.held(*effect, &motors, noise_of_few);
+        let held = |effect: &usize| ground.held(*effect, &motors, scatter_of_few);
         let alone = self.usable.par_iter().filter_map(held).collect();
-        self.refit_the_best(alone, TRIED, noise, pool);
+        self.refit_the_best(alone, TRIED, scatter, pool);
     }
 
     /// The misfit of the best of `motors` refitted beside an effect that is as large as is plausible; `None` of one that has no size.
-    fn held(&self, effect: usize, motors: &[Parameters], noise: Noise) -> Option<Start> {
+    fn held(&self, effect: usize, motors: &[Parameters], scatter: Scatter) -> Option<Start> {
         let common = |f: &&Form| !f.sizes.is_empty() && f.phased.is_empty();
         let (form, spec) = self.effects[effect].forms.iter().enumerate().find(|f| common(&f.1))?;
         let both_ways = spec.sizes.iter().all(|s| s.bounds.0 < 0.0);
@@ -79,8 +78,8 @@ impl Ground<'_> {
         let held = starts.map(|(sign, motor)| {
             let shaped = spec.shapes.iter().fold(motor.clone(), |p, s| p.with(s.parameter, s.start));
             let sized = spec.sizes.iter().fold(shaped, |p, s| p.with(s.parameter, sign * s.scale));
-            let model = self.refitted(at_speed(self.problem, self.problem.model(sized)), &[], noise, FEW_STEPS);
-            (self.misfit(&model, &[], noise), model.parameters)
+            let model = self.refitted(at_speed(self.problem, self.problem.model(sized)), &[], scatter, FEW_STEPS);
+            (self.misfit(&model, &[], scatter), model.parameters)
         });
         let (misfit, parameters) = held.min_by(|a, b| a.0.total_cmp(&b.0))?;
         let part = Part { effect, form, free: free_of(spec), phased: Vec::new() };
@@ -101,9 +100,9 @@ impl Ground<'_> {
         if pairs.is_empty() {
             return;
         }
-        let noise = self.noise(alone[0]);
+        let scatter = self.scatter(alone[0]);
         let few = self.problem.thinned();
-        let (ground, noise_of_few) = self.of_some_runs(&few, noise);
+        let (ground, scatter_of_few) = self.of_some_runs(&few, scatter);
         let from_either = |pair: [&Set; 2]| {
             let parts = pair.map(|s| s.parts[0].clone()).to_vec();
             let joined = |[motor, other]: [&Set; 2]| {
@@ -112,8 +111,8 @@ impl Ground<'_> {
                 let values = sizes.iter().map(|s| s.parameter).chain(shapes.iter().map(|s| s.parameter));
                 let both = |p: Parameters, which: P| p.with(which, other.model.parameters.get(which));
                 let start = few.model(values.fold(motor.model.parameters.clone(), both));
-                let model = ground.refitted(start, &parts, noise_of_few, FEW_STEPS);
-                (ground.misfit(&model, &parts, noise_of_few), model.parameters)
+                let model = ground.refitted(start, &parts, scatter_of_few, FEW_STEPS);
+                (ground.misfit(&model, &parts, scatter_of_few), model.parameters)
             };
             let [a, b] = pair;
             let [one, two] = [[a, b], [b, a]].map(joined);
@@ -121,25 +120,25 @@ impl Ground<'_> {
             Start { misfit, parts, parameters }
         };
         let joined = pairs.into_par_iter().map(from_either).collect();
-        self.refit_the_best(joined, PAIRS, noise, pool);
+        self.refit_the_best(joined, PAIRS, scatter, pool);
     }
 
     /// The `most` that fit best of what was fitted to a few of the runs, refitted to all.
-    fn refit_the_best(&self, mut starts: Vec<Start>, most: usize, noise: Noise, pool: &mut Vec<Set>) {
+    fn refit_the_best(&self, mut starts: Vec<Start>, most: usize, scatter: Scatter, pool: &mut Vec<Set>) {
         starts.sort_by(|a, b| a.misfit.total_cmp(&b.misfit));
         starts.truncate(most);
         let root = &pool[0];
         let refitted = |Start { parts, parameters, .. }: Start| {
-            let model = self.refitted(self.problem.model(parameters), &parts, noise, 8);
+            let model = self.refitted(self.problem.model(parameters), &parts, scatter, 8);
             self.weigh_set(parts, model, Some(root))
         };
         self.put_all(starts.into_par_iter().map(refitted).collect(), pool);
     }
 
     /// The same for some of the runs, and the noise beside which as much of the data says as many nats.
-    pub(super) fn of_some_runs<'a>(&'a self, few: &'a Problem, noise: Noise) -> (Ground<'a>, Noise) {
+    pub(super) fn of_some_runs<'a>(&'a self, few: &'a Problem, scatter: Scatter) -> (Ground<'a>, Scatter) {
         let ground = Ground::new(few, self.home.clone(), self.effects, self.usable.clone());
         let share = few.windows() / self.problem.windows() * self.independent / ground.independent;
-        (ground, Noise { variance: noise.variance * share, ..noise })
+        (ground, Scatter { variance: scatter.variance * share, ..scatter })
     }
 }

@@ -1,7 +1,7 @@
 //! What a refitted set weighs: its evidence, its priors, what effects cost, and the terms without physics that the data ask for beside it.
 
 use super::amplitude::of_one_amplitude;
-use super::baseline::first_noise;
+use super::baseline::first_covariance;
 use super::design::{Basis, Column};
 use super::discrepancy::{FREE_FORM_COST, SIZE, TERM_COST, Term};
 use super::evidence::{Equations, Promise, Question, Spreads, Start, Weighed, weigh};
@@ -55,8 +55,10 @@ impl Ground<'_> {
         let equations = Equations::new(&designs, own_columns, &coefficients(&model, &phased));
         let without = root.map_or(0.0, |r| self.form_error.base(r.weighed.left));
         let start = Start {
-            variance: root
-                .map_or_else(|| first_noise(self.problem, &model, self.independent).variance, |r| r.weighed.variance),
+            variance: root.map_or_else(
+                || first_covariance(self.problem, &model, self.independent).variance,
+                |r| r.weighed.variance,
+            ),
             taus: self.level.believed(),
             without,
             spreads: Spreads::Anywhere,
@@ -69,13 +71,16 @@ impl Ground<'_> {
             taus: start.taus,
             belief: [0.0; 5],
             gains: vec![0.0; self.problem.runs.len()],
-            common: Vec::new(),
+            shared: Vec::new(),
             powers: Vec::new(),
         };
         let mut weighed = weigh(&scale.equations, &self.level, &scale.base, &start).unwrap_or_else(failed);
         if let Some(r) = root {
-            let shift = weighed.gains.iter().zip(&r.weighed.gains).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
-            let level = self.level.beside_a_shift((shift / weighed.gains.len().max(1) as f64).sqrt());
+            // A shift that explains nothing of them is an error of the set's own.
+            let explained: f64 =
+                weighed.gains.iter().zip(&r.weighed.gains).map(|(with, without)| without * without - with * with).sum();
+            let shift = (explained.max(0.0) / weighed.gains.len().max(1) as f64).sqrt();
+            let level = self.level.beside_a_shift(shift);
             let near = Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() };
             weighed = weigh(&scale.equations, &level, &scale.base, &near).unwrap_or_else(failed);
         }

@@ -3,10 +3,10 @@
 use super::super::design::{Basis, Column};
 use super::super::discrepancy::Term;
 use super::super::finding::{Curve, Estimate};
+use super::super::free::columns_of;
 use super::super::ground::Ground;
 use super::super::numbers::FORM;
 use super::super::problem::Problem;
-use super::super::refit::columns_of;
 use super::super::set::Set;
 use super::{Said, short};
 use nalgebra::{DMatrix, DVector};

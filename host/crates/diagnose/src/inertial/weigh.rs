@@ -177,7 +177,7 @@ pub fn weigh_plant(
         taus: start.taus,
         belief: [0.0; 5],
         gains: vec![0.0; data.runs.len()],
-        common: Vec::new(),
+        shared: Vec::new(),
         powers: Vec::new(),
     };
     let weighed = ask(&[], &start).unwrap_or_else(failed);
