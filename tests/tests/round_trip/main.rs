@@ -403,7 +403,7 @@ fn what_was_fitted_is_what_is_saved() {
         ("high-duty-saturation", &[(P::FlatTop, 0.2)], &[("flat_top", 0.2)]),
         (
             "contact-stiffening",
-            &[(P::SlipExtra, 0.6), (P::SlipPower, -0.3)],
+            &[(P::SlipExtra, 0.6), (P::SlipExponent, 0.7)],
             &[("slip_band_excess", 0.6), ("slip_exponent", 0.7), ("exponent", 1.0)],
         ),
         ("direction-asymmetry", &[(P::AsymFriction, 0.2), (P::AsymBrake, 0.4)], &[("friction", 0.2), ("braking", 0.4)]),

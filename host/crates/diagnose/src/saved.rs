@@ -147,7 +147,7 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
             ]
         }
         "contact-stiffening" => {
-            vec![("slip_band_excess", of(P::SlipExtra)), ("slip_exponent", 1.0 + of(P::SlipPower))]
+            vec![("slip_band_excess", of(P::SlipExtra)), ("slip_exponent", of(P::SlipExponent))]
         }
         // High slots are narrower where the edge that begins them is late.
         "unequal-edges" => vec![("offset", -of(P::EdgeOffset))],

@@ -63,8 +63,8 @@ pub enum P {
     Saturation,
     /// `contact-stiffening`: addition to the slip band.
     SlipExtra,
-    /// `contact-stiffening`: what the exponent n of the contact's force exceeds one by: half the slip band gives ½ⁿ of the torque.
-    SlipPower,
+    /// `contact-stiffening`: exponent n of the contact's force: half the slip band gives ½ⁿ of the torque.
+    SlipExponent,
     /// `direction-asymmetry`: relative speed difference, half of cw minus ccw.
     AsymSpeed,
     /// `direction-asymmetry`: relative difference of the friction, under the wave and without it, half of cw minus ccw.
@@ -186,7 +186,7 @@ impl P {
         P::QuantDown,
         P::Saturation,
         P::SlipExtra,
-        P::SlipPower,
+        P::SlipExponent,
         P::AsymSpeed,
         P::AsymFriction,
         P::AsymBrake,
@@ -278,6 +278,7 @@ impl Parameters {
         p.set(P::HeatTau, 1.0);
         p.set(P::SettleTau, 0.03);
         p.set(P::QuantSteps, 32.0);
+        p.set(P::SlipExponent, 1.0);
         p.set(P::SagTime, 0.01);
         p.set(P::StribeckSpeed, 0.5);
         p.set(P::WearRevolutions, 1.0);

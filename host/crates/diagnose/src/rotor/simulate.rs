@@ -361,7 +361,7 @@ impl<'a> Simulation<'a> {
     fn advance(&mut self, until: f64, by: By) {
         let p = self.p;
         let driven = self.wave.driven();
-        let half_band_torque = 0.5_f64.powf(1.0 + p.get(P::SlipPower));
+        let half_band_torque = 0.5_f64.powf(p.get(P::SlipExponent));
         let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
         while self.t < until - 1e-12 && !self.done() {
             let directions = &self.input.schedule.directions;
