@@ -5,12 +5,12 @@ use super::design::Column;
 use super::evidence::{Equations, Spreads, Start, weigh};
 use super::free::Free;
 use super::ground::{Ground, Scatter};
-use super::library::{Form, Phased, Size};
+use super::library::{Form, Size};
 use super::prior::Prior;
 use super::problem::Model;
 use super::refit::coefficients;
 use super::rotor::P;
-use super::set::{Part, Set};
+use super::set::{Part, Set, phased_of};
 use rayon::prelude::*;
 
 /// Linear gain in nats from which a form is refitted: a refit seldom finds more than another nat, and an effect costs three.
@@ -41,7 +41,7 @@ impl Ground<'_> {
         let (mut columns, base) = self.columns(&from.model, &from.parts);
         let own_columns = base.own_range();
         let forms = self.lay_out(from, among, &mut columns);
-        let phased: Vec<Phased> = from.parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        let phased = phased_of(&from.parts);
         let designs = self.problem.design(&from.model, &columns);
         let equations = Equations::new(&designs, own_columns, &coefficients(&from.model, &phased));
         let ask = |sizes: &[usize], pairs: &[usize], start: &Start| {

@@ -411,6 +411,17 @@ mod tests {
         assert!(left([0, 1, 0, 1]) < 0.5 * left([0, 0, 1, 1]));
     }
 
+    /// Every second run is 5 % faster, the others as much slower. Fails if a course of the runs' own, which looks much like that, takes what is a gain.
+    #[test]
+    fn what_is_a_gain_is_no_course_of_the_runs_own() {
+        let level = Level::by_chance(4, 0.05);
+        let start = Start { variance: 1.0, taus: level.believed(), without: 0.0, spreads: Spreads::Stay };
+        let q = Question { own: vec![(1, 0)], ..Question::default() };
+        let power =
+            |gain, slope| weigh(&equations(gain, slope), &level, &q, &start).expect("it can be solved").powers[0];
+        assert!(power(0.05, 0.0) < 0.1 * power(0.0, 0.05), "{} {}", power(0.05, 0.0), power(0.0, 0.05));
+    }
+
     /// Fails if more is promised to chance than a term costs (10 nats), or less to a slope than it brings, shared or each run's own: it would be left
     /// out unweighed.
     #[test]

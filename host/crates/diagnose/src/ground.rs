@@ -7,12 +7,12 @@ use super::evidence::{Question, independent};
 use super::form_error::FormError;
 use super::free::{Free, columns_of};
 use super::level::{Level, Taus};
-use super::library::{Coordinate, Effect, Phased};
+use super::library::{Coordinate, Effect};
 use super::observe::Observed;
 use super::problem::{Model, Problem};
 use super::refit::{Covariance, objective, refit};
 use super::rotor::Parameters;
-use super::set::{Part, Set};
+use super::set::{Part, Set, phased_of};
 use super::timing::{STEP_S, TIMING, TIMING_S, alike};
 use twum_fit::noise::Noise;
 
@@ -145,9 +145,4 @@ impl<'a> Ground<'a> {
         }
         (columns, Question { common, by_kind, kinds, own })
     }
-}
-
-/// What goes with the angle in any of the parts.
-pub(super) fn phased_of(parts: &[Part]) -> Vec<Phased> {
-    parts.iter().flat_map(|p| p.phased.iter().copied()).collect()
 }

@@ -3,12 +3,12 @@
 use super::design::Column;
 use super::discrepancy::SIZE;
 use super::free::columns_of;
-use super::ground::{Ground, phased_of};
+use super::ground::Ground;
 use super::library::Phased;
 use super::observe::{Observed, Window};
 use super::problem::{Model, Problem, RPM};
 use super::refit::{coefficients, refit};
-use super::set::{Part, Set};
+use super::set::{Part, Set, phased_of};
 use super::stats::{Fold, Grams, Group, HeldOut, Prior, folds};
 use std::f64::consts::{PI, TAU};
 use twum_record::measurement::RunKind;

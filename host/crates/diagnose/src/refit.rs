@@ -18,7 +18,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use twum_fit::descent::{DAMPINGS, descend};
 use twum_fit::noise::Noise;
-use twum_fit::normal::{Normal, Pull, Solution};
+use twum_fit::normal::{Normal, Pull, Solution, damped};
 
 /// Plausible size of a phased coefficient before the first round.
 pub(super) const FIRST_POWER: f64 = 0.01;
@@ -141,16 +141,12 @@ impl Refit<'_> {
         run.clone().without_gain(0, Noise { variance: *variance, gain_spread: gains[(i, i)].sqrt() })
     }
 
-    /// Where the equations lead. The gains and the runs' own coefficients are eliminated, the diagonal of what is left is made larger by a share of
-    /// itself, `damping` (Marquardt, SIAM J. Appl. Math. 11 (1963) 431). Nothing where there is no one solution.
+    /// Where the equations lead: the gains and the runs' own coefficients are eliminated, and what is left is [`damped`]. Nothing where there is no one
+    /// solution.
     fn solve(&self, around: &Around, damping: f64) -> Option<Solution> {
         let beside = beside_gains(&around.together, &self.covariance.gains)?;
-        let (mut m, mut rhs) = (beside.g.clone(), beside.b.clone());
-        for (i, pull) in around.pulls.iter().enumerate() {
-            rhs[i] -= pull.slope / self.covariance.variance;
-            m[(i, i)] += (damping + STAYS) * m[(i, i)].abs() + f64::MIN_POSITIVE;
-        }
-        let common = m.cholesky()?.solve(&rhs);
+        let slopes = DVector::from_iterator(around.pulls.len(), around.pulls.iter().map(|pull| pull.slope));
+        let common = damped(beside.g.clone(), &(&beside.b - slopes / self.covariance.variance), damping)?;
         let (gains, _) = beside.gains(&common);
         let precision = precision(&around.power, self.covariance.variance);
         let (c, k) = (common.len(), precision.len());
@@ -162,9 +158,6 @@ impl Refit<'_> {
         Some(Solution { own: around.runs.iter().zip(gains.iter()).map(own).collect(), common })
     }
 }
-
-/// Where a diagonal element is nothing, the parameter stays where it is.
-const STAYS: f64 = 1e-9;
 
 /// The model with what is free moved to its bounds, where it lies beyond them.
 pub fn within(mut model: Model, free: &[Free]) -> Model {

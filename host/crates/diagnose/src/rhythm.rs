@@ -9,7 +9,7 @@ use super::ground::Ground;
 use super::library::Phased;
 use super::problem::Problem;
 use super::refit::{FIRST_POWER, coefficients, equations, expected_power, precision, put_coefficients};
-use super::set::Set;
+use super::set::{Set, phased_of};
 use twum_fit::noise::Noise;
 use twum_fit::normal::Normal;
 
@@ -51,7 +51,7 @@ pub fn powers(ground: &Ground, set: &Set, phased: &[Phased]) -> Vec<f64> {
 /// The set with the coefficients of the runs that tell them apart as large as they are, and the power that they have there; the same set where
 /// none do.
 pub fn whole(ground: &Ground, set: &Set) -> Set {
-    let phased: Vec<Phased> = set.parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+    let phased = phased_of(&set.parts);
     let far = told_apart(ground.problem);
     let mut whole = set.clone();
     if phased.is_empty() || far.is_empty() {

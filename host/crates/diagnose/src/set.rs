@@ -29,6 +29,11 @@ impl Part {
     }
 }
 
+/// The phased pairs of all parts, one after the other.
+pub fn phased_of(parts: &[Part]) -> Vec<Phased> {
+    parts.iter().flat_map(|p| p.phased.iter().copied()).collect()
+}
+
 /// A set of effects, refitted and weighed.
 #[derive(Debug, Clone)]
 pub struct Set {

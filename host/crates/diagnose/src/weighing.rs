@@ -10,7 +10,7 @@ use super::library::Phased;
 use super::observe::Observed;
 use super::problem::Model;
 use super::refit::coefficients;
-use super::set::{Part, Set};
+use super::set::{Part, Set, phased_of};
 use super::verdict::Course;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -50,7 +50,7 @@ impl Ground<'_> {
             .collect();
         let speed = columns.len();
         columns.push(Column::Flexible(Basis::Time(0, 1)));
-        let phased: Vec<Phased> = parts.iter().flat_map(|p| p.phased.iter().copied()).collect();
+        let phased = phased_of(&parts);
         let designs = self.problem.design(&model, &columns);
         let equations = Equations::new(&designs, own_columns, &coefficients(&model, &phased));
         let without = root.map_or(0.0, |r| self.form_error.base(r.weighed.left));
@@ -76,11 +76,7 @@ impl Ground<'_> {
         };
         let mut weighed = weigh(&scale.equations, &self.level, &scale.base, &start).unwrap_or_else(failed);
         if let Some(r) = root {
-            // A shift that explains nothing of them is an error of the set's own.
-            let explained: f64 =
-                weighed.gains.iter().zip(&r.weighed.gains).map(|(with, without)| without * without - with * with).sum();
-            let shift = (explained.max(0.0) / weighed.gains.len().max(1) as f64).sqrt();
-            let level = self.level.beside_a_shift(shift);
+            let level = self.level.beside_a_shift(explained(&weighed.gains, &r.weighed.gains));
             let near = Start { taus: weighed.taus, spreads: Spreads::Near, ..start.clone() };
             weighed = weigh(&scale.equations, &level, &scale.base, &near).unwrap_or_else(failed);
         }
@@ -126,6 +122,13 @@ impl Ground<'_> {
         let cost = if self.usable.iter().any(over) { FREE_FORM_COST } else { TERM_COST };
         cost + (self.terms[term].among as f64).ln()
     }
+}
+
+/// By how much the gains of all runs are nearer to none than `without` the effects (root mean square): a shift that explains nothing of them is an
+/// error of the effects' own.
+fn explained(with: &[f64], without: &[f64]) -> f64 {
+    let squares: f64 = with.iter().zip(without).map(|(with, without)| without * without - with * with).sum();
+    (squares.max(0.0) / with.len().max(1) as f64).sqrt()
 }
 
 /// Whether what goes with the angle goes with it once or twice a turn in earnest, as speed, where it does so more often too: a rhythm of the
@@ -242,6 +245,14 @@ mod tests {
 
     fn part(phased: Vec<Phased>) -> [Part; 1] {
         [Part { effect: 0, form: 0, free: Vec::new(), phased }]
+    }
+
+    /// Fails if gains that an effect puts where there were none make room for as much that it does not explain.
+    #[test]
+    fn what_an_effect_puts_into_the_gains_explains_nothing() {
+        assert_eq!(explained(&[0.1, -0.1], &[0.0, 0.0]), 0.0);
+        assert!((explained(&[0.0, 0.0], &[0.1, -0.1]) - 0.1).abs() < 1e-12);
+        assert_eq!(explained(&[0.1, -0.1], &[-0.1, 0.1]), 0.0);
     }
 
     /// Relative speeds of 1 to 5 % at one to four times a turn. Fails if a wheel is asked something else than the runout that is seen as the same

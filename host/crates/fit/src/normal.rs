@@ -99,9 +99,18 @@ pub struct Solution {
 /// Where a diagonal element is nothing, the parameter stays where it is.
 const STAYS: f64 = 1e-9;
 
+/// The step that equations `m`·x = `rhs` lead to, the diagonal made larger by a share of itself, `damping` (Marquardt, SIAM J. Appl. Math. 11 (1963)
+/// 431). Nothing where there is no one solution.
+pub fn damped(mut m: DMatrix<f64>, rhs: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {
+    for i in 0..rhs.len() {
+        m[(i, i)] += (damping + STAYS) * m[(i, i)].abs() + f64::MIN_POSITIVE;
+    }
+    if rhs.is_empty() { Some(rhs.clone()) } else { m.cholesky().map(|chol| chol.solve(rhs)) }
+}
+
 /// Solves the equations of all `runs`: the first columns are common to them and each is held by its `pulls`, the others are of a run alone
-/// and known with `precision`. The runs' own are eliminated (their Schur complement), the diagonal of what is left is made larger by a share
-/// of itself, `damping` (Marquardt, SIAM J. Appl. Math. 11 (1963) 431). Nothing where there is no one solution.
+/// and known with `precision`. The runs' own are eliminated (their Schur complement), and what is left is [`damped`]. Nothing where there is no one
+/// solution.
 pub fn solve(runs: &[Normal], pulls: &[Pull], precision: &[f64], damping: f64) -> Option<Solution> {
     let c = pulls.len();
     let inverses: Vec<DMatrix<f64>> = runs.par_iter().map(|r| r.own_inverse(c, precision)).collect();
@@ -116,9 +125,8 @@ pub fn solve(runs: &[Normal], pulls: &[Pull], precision: &[f64], damping: f64) -
     for (i, pull) in pulls.iter().enumerate() {
         m[(i, i)] += pull.curvature;
         rhs[i] -= pull.slope;
-        m[(i, i)] += (damping + STAYS) * m[(i, i)].abs() + f64::MIN_POSITIVE;
     }
-    let common = if c > 0 { m.cholesky()?.solve(&rhs) } else { rhs };
+    let common = damped(m, &rhs, damping)?;
     let own = runs
         .iter()
         .zip(&inverses)
