@@ -1,7 +1,7 @@
 //! The comparison itself: residuals of every window for given parameters, and their derivatives.
 
 use super::observe::{Observed, one_of_each, shorten};
-use super::rotor::{P, Parameters, RunInput, RunTerms, Trajectory, simulate, warm_up};
+use super::rotor::{P, Parameters, RunInput, RunTerms, Trajectory, Wheel, simulate, warm_up};
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -268,12 +268,12 @@ impl Problem {
     fn shown<'a>(&self, i: usize, angle: &'a [f64], p: &Parameters, terms: &RunTerms) -> Cow<'a, [f64]> {
         let run = &self.runs[i];
         let offset = p.get(P::EdgeOffset) * run.pitch * 0.5 * run.direction;
-        let eccentric = terms.eccentricity.iter().any(|c| *c != 0.0);
-        if offset == 0.0 && !eccentric {
+        let wheel = terms.eccentricity.iter().any(|c| *c != 0.0).then(|| Wheel::new(&terms.eccentricity));
+        if offset == 0.0 && wheel.is_none() {
             return Cow::Borrowed(angle);
         }
-        let wheel = |k: usize| if eccentric { terms.encoder_error(run.angles[k]) } else { 0.0 };
-        angle.iter().enumerate().map(|(k, a)| a + offset * f64::from(run.level[k]) + wheel(k)).collect()
+        let error = |k: usize| wheel.as_ref().map_or(0.0, |wheel| wheel.error(run.angles[k]));
+        angle.iter().enumerate().map(|(k, a)| a + offset * f64::from(run.level[k]) + error(k)).collect()
     }
 }
 

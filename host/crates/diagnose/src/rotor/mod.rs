@@ -14,10 +14,12 @@ mod schedule;
 mod simulate;
 mod warming;
 mod wave;
+mod wheel;
 
 pub use parameters::{HARMONICS, P, Parameters, RunTerms, placed};
 pub use schedule::{Period, Schedule};
 pub use simulate::{RunInput, Trajectory, simulate};
+pub use wheel::Wheel;
 
 /// Warmth at the end of a drive of `seconds` at `duty` that began at `warmth`.
 pub fn warm_up(warmth: f64, duty: f64, seconds: f64, tau: f64) -> f64 {
