@@ -325,7 +325,7 @@ fn uncertain_effects(
     let helps = |with: &HeldOut, less: &HeldOut| {
         let held = less.against(with);
         // Three closed loops have no spread to speak of: there, every gain needs its interval.
-        held.gain() >= LEAST_GAIN && !ground.problem.closed() || held.gain_interval(seed)[0] > 0.0
+        if ground.problem.closed() { held.gain_interval(seed)[0] > 0.0 } else { held.gain() >= LEAST_GAIN }
     };
     let in_doubt = |p: &&Part| certain(judged, p.effect) < BEYOND_DOUBT && !judged.of_course.contains(&p.effect);
     let doubtful = accepted.parts.iter().filter(in_doubt).find(|p| {

@@ -17,9 +17,8 @@ impl Wheel {
     pub fn new(eccentricity: &[f64; 2 * HARMONICS]) -> Self {
         // It errs by its own angle, which is the measured one less the error: each round leaves an error smaller by the relative error of the speed, a
         // third at most.
-        let error = |measured: f64| {
-            (0..FIXED_POINT_ROUNDS).fold(0.0, |error, _| harmonics(eccentricity, measured - error))
-        };
+        let error =
+            |measured: f64| (0..FIXED_POINT_ROUNDS).fold(0.0, |error, _| harmonics(eccentricity, measured - error));
         Self(std::array::from_fn(|k| error(k as f64 * TAU / POINTS as f64)))
     }
 
