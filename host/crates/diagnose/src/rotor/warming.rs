@@ -12,6 +12,8 @@ pub(super) struct Warming {
     to: f64,
     tau_s: f64,
     drive_end: f64,
+    /// Share of the way to where it would stand still that it is gone at the end.
+    gone_at_end: f64,
 }
 
 impl Warming {
@@ -21,7 +23,8 @@ impl Warming {
         let duty = warms.then(|| input.schedule.only_duty()).flatten()?;
         let tau_s = p.get(P::HeatTau).max(1e-3);
         let to = super::warm_up(input.warmth, effective_duty(duty, p), input.drive_end, tau_s);
-        Some(Self { from: input.warmth, to, tau_s, drive_end: input.drive_end })
+        let gone_at_end = -(-input.drive_end / tau_s).exp_m1();
+        Some(Self { from: input.warmth, to, tau_s, drive_end: input.drive_end, gone_at_end })
     }
 
     /// The first warmth and the last.
@@ -31,7 +34,7 @@ impl Warming {
 
     /// Share of the way from the first warmth to the last that is gone at `t`, in s of the drive.
     fn gone(&self, t: f64) -> f64 {
-        (-t.clamp(0.0, self.drive_end) / self.tau_s).exp_m1() / (-self.drive_end / self.tau_s).exp_m1()
+        -(-t.clamp(0.0, self.drive_end) / self.tau_s).exp_m1() / self.gone_at_end
     }
 
     /// The run, from what rotors that are as warm as at its ends do at the same `times`, in s of the drive.

@@ -9,7 +9,7 @@ pub struct Wheel([f64; POINTS]);
 /// Points of a turn between which the error is a cubic: with four harmonics of a twentieth of a radian it is off by 2·10⁻⁶ rad, a thousandth of a pitch of
 /// 4096 edges.
 const POINTS: usize = 128;
-/// 0.3⁸ of an error that is itself a third of a radian at most: less than the cubic's.
+/// 0.3⁸ of an error that is itself a third of a radian at most: 2·10⁻⁵ rad.
 const FIXED_POINT_ROUNDS: usize = 8;
 
 impl Wheel {
