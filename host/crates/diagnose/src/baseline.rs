@@ -52,9 +52,9 @@ pub fn baseline_free(model: &Parameters, home: &Parameters, closed: bool) -> Vec
 
 /// What is free in the motor file's motor, or in any `other` of the kind: a motor is another one in all that the file says of it.
 fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bool) -> Vec<Free> {
-    let positive = |parameter: P, least: f64, bounds: (f64, f64), belief: LogNormal| Free {
+    let positive = |parameter: P, bounds: (f64, f64), belief: LogNormal| Free {
         parameter,
-        scale: model.get(parameter).max(least),
+        scale: model.get(parameter).max(bounds.0),
         bounds,
         prior: Prior::LogNormal { median: belief.median, log_sd: belief.log_sd },
     };
@@ -64,11 +64,10 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
     let rate = |parameter: P, another: LogNormal| {
         let listed = if home.get(parameter) > 0.0 { home.get(parameter) } else { home.get(P::OnAcceleration) };
         let another = LogNormal { median: another.median * listed, ..another };
-        positive(parameter, 1e-4 * listed, (1e-5 * listed, 50.0 * listed), either(listed, SAME_MOTOR_LOG_SD, another))
+        positive(parameter, (1e-5 * listed, 50.0 * listed), either(listed, SAME_MOTOR_LOG_SD, another))
     };
-    let near = |parameter: P, listed: f64, belief: LogNormal| {
-        positive(parameter, 0.05 * listed, (0.02 * listed, 50.0 * listed), belief)
-    };
+    let near =
+        |parameter: P, listed: f64, belief: LogNormal| positive(parameter, (0.02 * listed, 50.0 * listed), belief);
     let off = if closed && home.get(P::OffDeceleration) > 0.0 {
         // That the motor brakes less than its file says is a finding there.
         let like = home.get(P::OffDeceleration) / home.get(P::OnAcceleration).max(1e-9);
@@ -94,20 +93,15 @@ fn own_parameters(model: &Parameters, home: &Parameters, closed: bool, other: bo
         rate(P::OnAcceleration, OTHER_MOTOR),
         off,
         near(P::Viscous, viscous, LogNormal { median: viscous, ..HARDLY_SEEN }),
-        positive(P::SlipBand, 1e-3, (1e-3, widest), either(band, HARDLY_SEEN.log_sd, OTHER_BAND)),
+        positive(P::SlipBand, (1e-3, widest), either(band, HARDLY_SEEN.log_sd, OTHER_BAND)),
         normal(P::ClockError, CLOCK, 20.0),
         normal(P::Latency, LATENCY_S, 5.0),
-        positive(P::Hysteresis, 0.01, (1e-3, 1.0), HYSTERESIS),
-        positive(
-            P::WaveTime,
-            0.05 * wave_s,
-            (0.02 * wave_s, 100.0 * wave_s),
-            either(wave_s, SAME_MOTOR_LOG_SD, OTHER_WAVE_S),
-        ),
-        positive(P::Dying, 0.05, (0.02, 50.0), DYING),
-        positive(P::Lift, 0.005, (0.01, 0.3), LIFT),
-        positive(P::Ahead, 0.05, (0.01, 5.0), AHEAD),
-        positive(P::Detuning, 0.05, (0.02, 2.0), DETUNING),
+        positive(P::Hysteresis, (1e-3, 1.0), HYSTERESIS),
+        positive(P::WaveTime, (0.02 * wave_s, 100.0 * wave_s), either(wave_s, SAME_MOTOR_LOG_SD, OTHER_WAVE_S)),
+        positive(P::Dying, (0.02, 50.0), DYING),
+        positive(P::Lift, (0.01, 0.3), LIFT),
+        positive(P::Ahead, (0.01, 5.0), AHEAD),
+        positive(P::Detuning, (0.02, 2.0), DETUNING),
     ]
 }
 

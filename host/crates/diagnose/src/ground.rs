@@ -71,7 +71,7 @@ impl<'a> Ground<'a> {
     pub fn free(&self, model: &Model, parts: &[Part]) -> Vec<Free> {
         let mut free = baseline_free(&model.parameters, &self.home, self.problem.closed());
         free.retain(|own| parts.iter().all(|p| p.free.iter().all(|f| f.parameter != own.parameter)));
-        free.extend(parts.iter().flat_map(|p| p.free.iter().copied()));
+        free.extend(parts.iter().flat_map(|p| &p.free).map(|f| f.near(&model.parameters)));
         free
     }
 

@@ -52,8 +52,8 @@ fn common(scorer: &Scorer, effect: &Effect, set: &Set, part: &Part) -> Vec<Estim
             let name = reported.name.to_string();
             let unit = reported.unit.to_string();
             if let Some(k) = part.free.iter().position(|f| f.parameter == reported.parameter) {
-                let f = &part.free[k];
                 let at = first + before + k;
+                let f = &all[at];
                 let value = (now + beta[at].clamp(-0.3, 0.3) * f.scale).clamp(f.bounds.0, f.bounds.1);
                 let mut variance = covariance[(at, at)] * f.scale * f.scale;
                 // What is a share of another number is as uncertain as both together (the delta method).

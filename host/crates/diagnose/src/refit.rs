@@ -62,7 +62,7 @@ pub fn refit(
     };
     let attempt = |at: &At, around: &Around, damping: f64| {
         let to = refit.solve(around, damping)?;
-        let trial = refit.at(moved(&at.model, free, phased, around, &to, 1.0 / (1.0 + damping)));
+        let trial = refit.at(moved(&at.model, phased, around, &to, 1.0 / (1.0 + damping)));
         let after = refit.cost(&trial, &around.power);
         Some((trial, after))
     };
@@ -87,6 +87,8 @@ struct Refit<'a> {
 
 /// A model's surroundings: the equations of the runs, in which the common columns are steps and a run's own coefficients whole.
 struct Around {
+    /// What is fitted, in steps that fit the model.
+    free: Vec<Free>,
     runs: Vec<Normal>,
     /// All that the runs say of the common columns, their own coefficients integrated.
     together: Together,
@@ -110,7 +112,8 @@ impl Refit<'_> {
     /// The surroundings of a model; the power of the own coefficients is found from one that it was before.
     fn around(&self, model: &Model, power: &[f64]) -> Around {
         let Self { covariance, free, phased, .. } = self;
-        let mut columns = columns_of(free);
+        let free: Vec<Free> = free.iter().map(|f| f.near(&model.parameters)).collect();
+        let mut columns = columns_of(&free);
         columns.extend(phased.iter().flat_map(|p| p.columns()));
         let now = coefficients(model, phased);
         let designs = self.problem.design(model, &columns);
@@ -132,7 +135,7 @@ impl Refit<'_> {
             .collect();
         let pulls: Vec<Pull> = free.iter().map(|f| pull(f, model, covariance.variance)).collect();
         let precision: Vec<f64> = pulls.iter().map(|pull| pull.curvature / covariance.variance).collect();
-        Around { together: Together::new(said.iter(), &precision), runs, pulls, now, power }
+        Around { together: Together::new(said.iter(), &precision), free, runs, pulls, now, power }
     }
 
     /// The equations of run `i` with its gain left free as far as gains scatter.
@@ -241,9 +244,9 @@ pub(super) fn expected_power(runs: &[Normal], common: usize, power: &[f64], vari
 }
 
 /// The model after a step; the runs' own coefficients go a share of their way.
-fn moved(model: &Model, free: &[Free], phased: &[Phased], around: &Around, to: &Solution, own_share: f64) -> Model {
+fn moved(model: &Model, phased: &[Phased], around: &Around, to: &Solution, own_share: f64) -> Model {
     let mut trial = model.clone();
-    for (f, s) in free.iter().zip(to.common.iter()) {
+    for (f, s) in around.free.iter().zip(to.common.iter()) {
         let value = trial.parameters.get(f.parameter);
         let value = after_step(f, value, s.clamp(-3.0, 3.0) * f.scale);
         trial.parameters.set(f.parameter, value.clamp(f.bounds.0, f.bounds.1));
@@ -305,8 +308,56 @@ pub fn squared_error(problem: &Problem, model: &Model) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::observe::Window;
+    use super::super::problem::RPM;
+    use super::super::rotor::{Parameters, Schedule};
     use super::*;
     use crate::{Options, starting_rotor, trial};
+
+    /// Two seconds of a rotor at half duty, and what eight steps of a refit find of its braking (600 rad/s²) from another one.
+    fn braking_found(from: f64) -> f64 {
+        let times: Vec<f64> = (0..200).map(|k| 0.01 * f64::from(k)).collect();
+        let window = |to: usize| Window { from: to - 1, to, low: 0.0, high: 0.0 };
+        let run = Observed {
+            schedule: Schedule::constant(0.5, 1.0, 50.0, 0.0, 2.0),
+            drive_end: 2.0,
+            angles: vec![0.0; times.len()],
+            level: vec![0; times.len()],
+            windows: (1..times.len()).map(window).collect(),
+            record_end: 2.0,
+            times,
+            ..Observed::unrecorded()
+        };
+        let rotor = Parameters::new(3.6, 900.0, 600.0, 0.3, 0.02).with(P::WaveTime, 4e-4);
+        let mut problem = Problem::new(vec![run]);
+        let speeds = problem.residuals(&problem.model(rotor.clone())).remove(0).predicted;
+        for (w, rpm) in problem.runs[0].windows.iter_mut().zip(&speeds) {
+            w.low = rpm / RPM * 0.01;
+            w.high = w.low;
+        }
+        let free = [
+            Free { parameter: P::FreeSpeed, scale: 3.6, bounds: (0.1, 100.0), prior: Prior::Flat },
+            Free {
+                parameter: P::OffDeceleration,
+                scale: from,
+                bounds: (1.0, 1e5),
+                prior: Prior::LogNormal { median: 600.0, log_sd: 2.0 },
+            },
+        ];
+        let start = problem.model(rotor.with(P::OffDeceleration, from));
+        let covariance = Covariance::by_chance(1, Noise { variance: 1e-4, gain_spread: 1e-3 });
+        refit(&problem, start, &free, &[], &covariance, 8).parameters.get(P::OffDeceleration)
+    }
+
+    /// Fails if a number is moved, or its slope found, in steps of what it was where the refit began: then no step from a fortieth is longer than three
+    /// fortieths, and eight end at 550.
+    #[test]
+    fn a_number_that_is_far_off_is_found() {
+        for from in [15.0, 24_000.0] {
+            let found = braking_found(from);
+            assert!((found / 600.0 - 1.0).abs() < 0.01, "{found} from {from}");
+        }
+    }
 
     /// Fails if gains that runs of a direction share are taken for each run's own: then eight runs say eight times what they say.
     #[test]
