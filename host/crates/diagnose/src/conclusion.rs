@@ -200,7 +200,7 @@ impl View<'_> {
             let by_chance = p_null > LARGEST_P
                 || !self.leads_clearly(accepted, part.effect) && could_be_none(effect, part, &parameters)
                 || any_curve_does(ground.problem, effect, [&less, accepted]);
-            let little = held.gain() < WORTH_A_CAUSE;
+            let little = !is_worth_a_cause(ground, &held, self.seed);
             let doubted = once || by_chance || little;
             let conflicts = match (once || by_chance && !one_of, one_of) {
                 (true, _) => effect.conflicts.iter().map(|c| (*c).to_owned()).collect(),
@@ -221,7 +221,7 @@ impl View<'_> {
                 note: match (by_chance, little) {
                     (true, _) => "likely, but chance does as much to such runs, or its size could be none",
                     (_, true) => {
-                        "likely, but it removes less than a tenth of the error, as much as a motor of another form may differ by"
+                        "likely, but that it removes a tenth of the error is not certain, and a motor of another form may differ by less"
                     }
                     _ => "",
                 }
@@ -363,8 +363,7 @@ fn likely_effects(
     seed: u64,
 ) -> Vec<Vec<usize>> {
     let mut found: Vec<Vec<usize>> = Vec::new();
-    let replicated = ground.problem.runs.len() >= LEAST_RUNS && !ground.problem.closed();
-    let Some(best) = sets.first().filter(|_| replicated && struck.is_empty()) else { return found };
+    let Some(best) = sets.first().filter(|_| is_replicated(ground) && struck.is_empty()) else { return found };
     let unsaid = |e: usize| judged.inclusion.iter().any(|i| i.0 == e) && !judged.says(e);
     for part in best.parts.iter().filter(|p| unsaid(p.effect)) {
         let alike = |e: &usize| *e == part.effect || ground.effects[*e].looks_like(&ground.effects[part.effect]);
@@ -372,7 +371,7 @@ fn likely_effects(
         let likely = kind.iter().map(|e| inclusion(judged, *e)).sum::<f64>() > LIKELY;
         let less = || scorer.held_out(&without(ground, sets, best, part.effect));
         let new = !found.iter().flatten().any(|e| kind.contains(e));
-        if new && likely && less().against(&scorer.held_out(best)).gain_interval(seed)[0] >= WORTH_A_CAUSE {
+        if new && likely && is_worth_a_cause(ground, &less().against(&scorer.held_out(best)), seed) {
             found.push(kind);
         }
     }
@@ -382,11 +381,22 @@ fn likely_effects(
 /// Probability of what is likelier than not.
 const LIKELY: f64 = 0.5;
 /// Share of the error on runs that an effect was not fitted to from which one would look for a cause: twice what counts where the evidence is not
-/// asked ([`LEAST_GAIN`]). A name removes as much, however certain it is, since a motor whose forms are not quite ours is certain to differ by less: of
-/// the motors of generators B to E that had been looked at three were once named something that was not there with 0.04 to 0.1 (E 560, 571,
-/// 638), nothing that was there had less than 0.1. What is likely removes it for certain: of 66 motors without an effect (B, C, D, E) two had such a
+/// asked ([`LEAST_GAIN`]). A name removes as much for certain, however likely it is, since a motor whose forms are not quite ours is certain to
+/// differ by less: of the motors of generators B to E that had been looked at three were once named something that was not there with 0.04 to 0.1
+/// (E 560, 571, 638), nothing that was there had less than 0.1. So does what is likely: of 66 motors without an effect (B, C, D, E) two had such a
 /// one (E 364 and 366, a sag), none of them among the 48 by which it was chosen.
 const WORTH_A_CAUSE: f64 = 0.1;
+
+/// Whether an effect removes as much of the error as one would look for a cause for, for certain where runs replicate each other: single records and
+/// three closed loops have no spread to speak of.
+fn is_worth_a_cause(ground: &Ground, held: &HeldOut, seed: u64) -> bool {
+    let gain = if is_replicated(ground) { held.gain_interval(seed)[0] } else { held.gain() };
+    gain >= WORTH_A_CAUSE
+}
+
+fn is_replicated(ground: &Ground) -> bool {
+    ground.problem.runs.len() >= LEAST_RUNS && !ground.problem.closed()
+}
 
 /// The probability of an effect, or of the set of rivals that it is in.
 fn certain(judged: &Judgement, effect: usize) -> f64 {
