@@ -327,6 +327,14 @@ fn thorough_what_comes_at_a_rate_of_its_own_is_unknown_over_it() {
     is_unknown_over("c", 16_400, "time, so many cycles a second");
 }
 
+/// A supply that rings within each pulse, which leaves 2.5 rpm where 0.6 are left without. Fails if nobody looks at what a pulse does while it lasts: it was
+/// `none`.
+#[test]
+#[ignore = "takes long: .ci/run thorough"]
+fn thorough_a_supply_that_rings_is_unknown_within_the_pulse() {
+    is_unknown_over("e", 644, "PWM phase, within the pulse");
+}
+
 /// Runs that are slower at first if the one before went the other way. Fails if nobody looks at the run before: it was `none`.
 #[test]
 #[ignore = "takes long: .ci/run thorough"]

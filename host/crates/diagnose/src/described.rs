@@ -142,6 +142,10 @@ impl View<'_> {
                     estimate(&|k| format!("at_{}_s", time(k)), "s", LAG_S, &fit),
                 )
             }
+            Column::Flexible(Basis::Pulse(_)) => Said::elsewhere(
+                "speed·(1 + c_k) in millisecond k of each pulse".to_owned(),
+                estimate(&|k| format!("at_{k}_to_{}_ms", k + 1), "1", 1.0, &fit),
+            ),
             Column::Flexible(Basis::AfterSwitching(..)) => {
                 let name = |k: usize| match term.columns[k] {
                     Column::Flexible(Basis::AfterSwitching(rise, ms)) => {
@@ -319,6 +323,18 @@ mod tests {
         assert!(d.gain > 0.3, "{d:?}");
         let Curve::Time(points) = &d.curve else { panic!("{d:?}") };
         assert!(points.len() == 6 && points[5][0] == 2.5 && (points[5][1] - 0.03).abs() < 0.005, "{points:?}");
+    }
+
+    /// Fails if what comes in each pulse is told of the period, or of another millisecond of it.
+    #[test]
+    fn what_comes_within_every_pulse_is_told_by_its_milliseconds() {
+        let bump = |t: f64| if (3e-3..6e-3).contains(&(t % 0.02)) { 0.08 } else { 0.0 };
+        let d = described(&|_, _, t, _| bump(t), "PWM phase, within the pulse");
+        assert_eq!(d.equation, "speed·(1 + c_k) in millisecond k of each pulse");
+        let [before, within, after] =
+            ["at_1_to_2_ms", "at_4_to_5_ms", "at_8_to_9_ms"].map(|name| number(&d, name).value);
+        assert!((within - 0.08).abs() < 0.02 && before.abs() < 0.02 && after.abs() < 0.02, "{d:?}");
+        assert!(d.gain > 0.3, "{d:?}");
     }
 
     /// Fails if a course that every run has of its own is lost in what sampling makes of it, or told of a motor that has none.

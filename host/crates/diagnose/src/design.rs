@@ -63,6 +63,8 @@ pub enum Basis {
     Heading(usize, usize),
     /// The same hat, in the runs that go another way than the run before.
     Reversed(usize, usize),
+    /// Millisecond `k` of each pulse, as long as the drive is on.
+    Pulse(usize),
     /// The free speed, in millisecond `k` after each rise of the drive or (`false`) each fall: what the rotor equation leaves out of
     /// the wave's coming and going.
     AfterSwitching(bool, usize),
@@ -320,6 +322,7 @@ impl<'a> Linearised<'a> {
                     return run.direction * 0.5 * slots * run.pitch / duration_s * RPM;
                 }
                 Basis::Angle(order, quarter) => (order * w.middle(&run.angles) - FRAC_PI_2 * f64::from(quarter)).cos(),
+                Basis::Pulse(j) => run.schedule.share_within_pulses(between, 1e-3 * j as f64, &self.model.parameters),
                 Basis::AfterSwitching(rise, j) => {
                     let p = &self.model.parameters;
                     let share = run.schedule.share_after_switching(between, rise, 1e-3 * j as f64, p);

@@ -32,6 +32,9 @@ pub const SIZE: f64 = 0.1;
 /// Knots of a course over the time that runs of a direction share: it may bend either way.
 const COURSE_KNOTS: usize = 4;
 
+/// Milliseconds of a pulse that are told apart: what rings at 80 Hz or more has a period in them.
+const PULSE_MS: usize = 12;
+
 /// Knots of a run's own wander in time.
 const WANDER_KNOTS: usize = 16;
 
@@ -95,12 +98,14 @@ fn of_directions(problem: &Problem) -> Vec<Term> {
 }
 
 /// The terms of a drive that is switched within the PWM period.
-fn of_pulses() -> [Term; 4] {
+fn of_pulses() -> [Term; 5] {
     let phases = (0..8).map(|j| Basis::Phase(j, 8)).collect();
     let periods = [2, 3, 4].into_iter().flat_map(|n| [0, 1].map(|quarter| Basis::Periods(n, quarter))).collect();
+    let pulse = (0..PULSE_MS).map(Basis::Pulse).collect();
     let lags = (0..6).map(|j| Column::Lag(j, 6)).collect();
     [
         Term::common("PWM phase", flexible(phases), &[Coordinate::Pulse]),
+        Term::common("PWM phase, within the pulse", flexible(pulse), &[Coordinate::Pulse]),
         Term::common("PWM phase, from period to period", flexible(periods), &[]),
         Term::common("timing against the PWM", lags, &[Coordinate::Clock]),
         Term::common("the milliseconds after switching", switching(), &[Coordinate::Pulse]),

@@ -2,6 +2,9 @@
 
 use super::{P, Parameters, effective_duty, start_delay};
 
+/// What is told of a pulse ends so long (s) after it.
+const MOST_AFTER_S: f64 = 0.01;
+
 /// One PWM period, or any stretch of time with one duty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Period {
@@ -40,18 +43,30 @@ impl Schedule {
     }
 
     /// Share of the time between two instants that lies within the millisecond `after_s` behind a rise of the drive, or (`false`) a fall.
-    pub fn share_after_switching(&self, [from, to]: [f64; 2], rise: bool, after_s: f64, p: &Parameters) -> f64 {
-        let latency = p.get(P::Latency);
-        let (from, to) = (from - latency, to - latency);
-        let first = self.periods.partition_point(|k| k.end + 0.01 < from);
+    pub fn share_after_switching(&self, between: [f64; 2], rise: bool, after_s: f64, p: &Parameters) -> f64 {
+        self.share_of_pulses(between, p, |[on, off]| {
+            let switched = if rise { on } else { off };
+            [switched + after_s, switched + after_s + 1e-3]
+        })
+    }
+
+    /// Share of the time between two instants that lies within the millisecond `after_s` behind a rise of the drive, and before its fall.
+    pub fn share_within_pulses(&self, between: [f64; 2], after_s: f64, p: &Parameters) -> f64 {
+        self.share_of_pulses(between, p, |[on, off]| [on + after_s, (on + after_s + 1e-3).min(off)])
+    }
+
+    /// Share of the time between two instants that lies within a `part` of the pulses, which is told from when one begins and ends.
+    fn share_of_pulses(&self, between: [f64; 2], p: &Parameters, part: impl Fn([f64; 2]) -> [f64; 2]) -> f64 {
+        let [from, to] = between.map(|t| t - p.get(P::Latency));
+        let first = self.periods.partition_point(|k| k.end + MOST_AFTER_S < from);
         let inside = self.periods[first..].iter().take_while(|k| k.start < to).filter_map(|k| {
             let duty = effective_duty(k.duty, p);
             let rest_s = (1.0 - duty) * (k.end - k.start);
             let rises = k.start + rest_s + start_delay(p, rest_s);
-            (duty > 0.0 && rises > k.start).then_some(if rise { rises } else { k.end })
+            (duty > 0.0 && rises > k.start).then_some([rises, k.end])
         });
-        let overlap = |at: f64| ((at + 1e-3).min(to) - at.max(from)).max(0.0);
-        inside.map(|switched| overlap(switched + after_s)).sum::<f64>() / (to - from).max(1e-9)
+        let overlap = |[a, b]: [f64; 2]| (b.min(to) - a.max(from)).max(0.0);
+        inside.map(|pulse| overlap(part(pulse))).sum::<f64>() / (to - from).max(1e-9)
     }
 
     /// The duty of all periods, where they have one and the direction stays.
@@ -63,5 +78,26 @@ impl Schedule {
     /// Total time with drive on, in s, up to `until`.
     pub fn drive_time(&self) -> f64 {
         self.periods.iter().map(|p| (p.end - p.start) * p.duty).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Half duty, on in the last ten of 20 ms. Fails if a pulse is told from where its period begins, or beyond where it ends.
+    #[test]
+    fn a_pulse_is_told_from_its_rise_to_its_fall() {
+        let schedule = Schedule::constant(0.5, 1.0, 50.0, 0.0, 2.0);
+        let p = Parameters::new(3.6, 900.0, 600.0, 0.3, 0.02);
+        let within = |between: [f64; 2], ms: usize| schedule.share_within_pulses(between, 1e-3 * ms as f64, &p);
+        let close = |share: f64, expected: f64| assert!((share - expected).abs() < 1e-9, "{share}, not {expected}");
+        close(within([1.000, 1.002], 0), 0.0);
+        close(within([1.010, 1.012], 0), 0.5);
+        close(within([1.010, 1.012], 1), 0.5);
+        close(within([1.019, 1.021], 9), 0.5);
+        close(within([1.019, 1.021], 10), 0.0);
+        close(schedule.share_after_switching([1.019, 1.021], true, 0.010, &p), 0.5);
+        close(schedule.share_after_switching([1.019, 1.021], false, 0.0, &p), 0.5);
     }
 }
