@@ -116,9 +116,19 @@ impl Standing {
         };
         let mut sets = visited.to_vec();
         let mut struck: Vec<(usize, f64)> = Vec::new();
+        // The search has looked from the best set at what lacks one of its effects.
+        let mut looked = vec![visited[0].key()];
         let mut judged = loop {
             let views: Vec<Visited> = sets.iter().map(Set::visited).collect();
             let judged = judge(&views, &root.visited(), &background);
+            let accepted = judged.accepted(&sets, Set::key, |_| false).unwrap_or(root);
+            if accepted.parts.len() > 1 && !looked.contains(&accepted.key()) {
+                // None of the others may lead because what lacks it stopped early, or in another valley.
+                looked.push(accepted.key());
+                ground.put_all(ground.each_without(accepted, root), &mut sets);
+                sets.sort_by(|a, b| b.score.total_cmp(&a.score));
+                continue;
+            }
             let more = uncertain_effects(ground, scorer, &sets, root, &judged, seed);
             if more.is_empty() {
                 break judged;

@@ -160,8 +160,7 @@ impl Ground<'_> {
             let leader = best(pool).clone();
             if !led.contains(&leader.key()) {
                 led.push(leader.key());
-                let less = |k: usize| self.without(&leader, k, FEW_STEPS, &pool[0]);
-                self.put_all((0..leader.parts.len()).into_par_iter().map(less).collect(), pool);
+                self.put_all(self.each_without(&leader, &pool[0]), pool);
             }
         }
     }
@@ -365,6 +364,11 @@ impl Ground<'_> {
                 pool.push(self.without(&leader, k, FEW_STEPS, &pool[0]));
             }
         }
+    }
+
+    /// What lacks one of a set's effects, refitted from where the set is.
+    pub(super) fn each_without(&self, set: &Set, root: &Set) -> Vec<Set> {
+        (0..set.parts.len()).into_par_iter().map(|k| self.without(set, k, FEW_STEPS, root)).collect()
     }
 
     /// The set without its effect `k`, refitted from where it is.
