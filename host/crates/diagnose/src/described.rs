@@ -325,7 +325,7 @@ mod tests {
         assert!(points.len() == 6 && points[5][0] == 2.5 && (points[5][1] - 0.03).abs() < 0.005, "{points:?}");
     }
 
-    /// Fails if what comes in each pulse is told of the period, or of another millisecond of it.
+    /// Fails if what comes in each pulse is told of another millisecond of it, or with another size.
     #[test]
     fn what_comes_within_every_pulse_is_told_by_its_milliseconds() {
         let bump = |t: f64| if (3e-3..6e-3).contains(&(t % 0.02)) { 0.08 } else { 0.0 };

@@ -146,3 +146,25 @@ impl<'a> Ground<'a> {
         (columns, Question { common, by_kind, kinds, own })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::prior::Prior;
+    use super::super::rotor::P;
+    use super::*;
+    use crate::{Options, starting_rotor, trial};
+
+    /// Fails if the evidence takes a shape's slope over what the shape was where it was first looked at: of a time of 0.2 s over one of a second.
+    #[test]
+    fn a_shape_is_weighed_in_steps_of_what_it_is() {
+        let runs = trial::runs(&|_, _, _, _| 0.0);
+        let rotor = starting_rotor(&runs, &Options::default());
+        let problem = Problem::new(runs);
+        let ground = Ground::new(&problem, rotor.clone(), &[], Vec::new());
+        let prior = Prior::LogNormal { median: 1.0, log_sd: 1.0 };
+        let tau = Free { parameter: P::HeatTau, scale: 1.0, bounds: (0.1, 10.0), prior };
+        let parts = [Part { effect: 0, form: 0, free: vec![tau], phased: Vec::new() }];
+        let free = ground.free(&problem.model(rotor.with(P::HeatTau, 0.2)), &parts);
+        assert_eq!(free.last().map(|f| (f.parameter, f.scale)), Some((P::HeatTau, 0.2)));
+    }
+}

@@ -42,7 +42,7 @@ impl Schedule {
         Self { periods, directions: vec![(0.0, direction)] }
     }
 
-    /// Share of the time between two instants that lies within the millisecond `after_s` behind a rise of the drive, or (`false`) a fall.
+    /// Share of the time between two instants (s of the record) that lies within the millisecond `after_s` behind a rise of the drive, or (`false`) a fall.
     pub fn share_after_switching(&self, between: [f64; 2], rise: bool, after_s: f64, p: &Parameters) -> f64 {
         self.share_of_pulses(between, p, |[on, off]| {
             let switched = if rise { on } else { off };
@@ -50,12 +50,12 @@ impl Schedule {
         })
     }
 
-    /// Share of the time between two instants that lies within the millisecond `after_s` behind a rise of the drive, and before its fall.
+    /// The same of the millisecond `after_s` behind a rise, as long as the drive is on.
     pub fn share_within_pulses(&self, between: [f64; 2], after_s: f64, p: &Parameters) -> f64 {
         self.share_of_pulses(between, p, |[on, off]| [on + after_s, (on + after_s + 1e-3).min(off)])
     }
 
-    /// Share of the time between two instants that lies within a `part` of the pulses, which is told from when one begins and ends.
+    /// The same of any `part` of a pulse, from its beginning and end in s of the drive.
     fn share_of_pulses(&self, between: [f64; 2], p: &Parameters, part: impl Fn([f64; 2]) -> [f64; 2]) -> f64 {
         let [from, to] = between.map(|t| t - p.get(P::Latency));
         let first = self.periods.partition_point(|k| k.end + MOST_AFTER_S < from);
