@@ -264,13 +264,18 @@ fn makers_of(courses: &[Course], effects: &[usize], background: &Background) -> 
 }
 
 /// Named effects with what looks like them in the best set without them that has any, where it is behind by no more than forms differ: rivals,
-/// whatever the probabilities.
+/// whatever the probabilities. What does better beside an effect than without it is not there in its place; where there is nothing else, the effect
+/// has no rival but is not certain.
 fn close_rivals(sets: &[Visited], named: &[usize], background: &Background) -> Vec<(usize, usize)> {
     let instead = |e: usize| {
         let near = |s: &&Visited| s.score > sets[0].score - background.clear_lead && !s.key.contains(&e);
         let rivals = |s: &Visited| {
-            let alike = s.key.iter().copied().filter(|o| !named.contains(o) && (background.alike)(e, *o));
-            alike.map(|rival| (e, rival)).collect::<Vec<_>>()
+            let alike = |o: &usize| !named.contains(o) && (background.alike)(e, *o);
+            let both = |o: &usize| sets.iter().any(|t| t.score > s.score && t.key.contains(&e) && t.key.contains(o));
+            let alike: Vec<usize> = s.key.iter().copied().filter(alike).collect();
+            let mut rivals: Vec<usize> = alike.iter().copied().filter(|o| !both(o)).collect();
+            rivals.extend((rivals.is_empty() && !alike.is_empty()).then_some(e));
+            rivals.into_iter().map(|rival| (e, rival)).collect::<Vec<_>>()
         };
         sets.iter().filter(near).map(rivals).find(|rivals| !rivals.is_empty()).unwrap_or_default()
     };
@@ -408,6 +413,25 @@ mod tests {
         let behind = |effects: &[usize], share: f64| set(effects, 200.0 - share * ALIKE, 1.0);
         let sets = [behind(&[0], 0.0), behind(&[1, 2], 0.3), behind(&[3], 0.6), set(&[], 0.0, 9.0)];
         assert_eq!(judge(&sets, &sets[3], &background).one_of, [vec![0, 1, 2]]);
+    }
+
+    /// Fails if what stands beside an effect joins the rivals for its place: then one of four is said to be there where it is one of each two.
+    #[test]
+    fn what_stands_beside_an_effect_is_no_rival_of_it() {
+        let background = Background {
+            temperature: TEMPERATURE,
+            alike: &|_, _| true,
+            clear_lead: ALIKE,
+            most_of_a_course: MOST_OF_A_COURSE,
+            within_runs: &|_| false,
+            makes_course: &|_, _| false,
+        };
+        let of = |sets: &[Visited]| judge(sets, &sets[sets.len() - 1], &background).one_of;
+        let root = set(&[], 0.0, 9.0);
+        let [first, second] = [set(&[0, 2], 200.0, 1.0), set(&[0, 3], 199.0, 1.0)];
+        let instead = set(&[1, 3], 190.0, 1.1);
+        assert_eq!(of(&[first.clone(), second.clone(), instead, root.clone()]), [vec![2, 3], vec![0, 1]]);
+        assert_eq!(of(&[first, second, set(&[3], 190.0, 1.1), root]), [vec![2, 3], vec![0]]);
     }
 
     /// Fails if what takes up the error of another's form is named beside it, if that other loses its name with it, or if what does not look like it
