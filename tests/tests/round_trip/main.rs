@@ -394,7 +394,7 @@ fn what_was_fitted_is_what_is_saved() {
     let inertia = parameters.rotor_inertia_kg_m2;
     /// Name, what was fitted, what is saved.
     type Row<'a> = (&'a str, &'a [(P, f64)], &'a [(&'a str, f64)]);
-    let fitted: [Row; 16] = [
+    let fitted: [Row; 15] = [
         ("dead-zone", &[(P::DeadDuty, 0.04)], &[("threshold_duty", 0.04), ("gate_duty", 0.0)]),
         ("dead-zone", &[(P::GateDuty, 0.2), (P::GateWidth, 0.03)], &[("gate_duty", 0.2), ("gate_width", 0.03)]),
         ("high-duty-saturation", &[(P::Bend, 0.7)], &[("bend", 0.7), ("inverse_us", 0.0)]),
@@ -405,11 +405,6 @@ fn what_was_fitted_is_what_is_saved() {
             "contact-stiffening",
             &[(P::SlipExtra, 0.6), (P::SlipExponent, 0.7)],
             &[("slip_band_excess", 0.6), ("slip_exponent", 0.7), ("exponent", 1.0)],
-        ),
-        (
-            "contact-stiffening",
-            &[(P::SlipAtRest, 0.4), (P::WavePower, 0.3)],
-            &[("slip_band_excess_at_rest", 0.4), ("wave_power", 0.3), ("slip_band_excess", 0.0)],
         ),
         ("direction-asymmetry", &[(P::AsymFriction, 0.2), (P::AsymBrake, 0.4)], &[("friction", 0.2), ("braking", 0.4)]),
         (

@@ -147,12 +147,7 @@ fn carried(name: &str, convert: &Conversion, extended: &Model, problem: &Problem
             ]
         }
         "contact-stiffening" => {
-            vec![
-                ("slip_band_excess", of(P::SlipExtra)),
-                ("slip_exponent", of(P::SlipExponent)),
-                ("slip_band_excess_at_rest", of(P::SlipAtRest)),
-                ("wave_power", of(P::WavePower)),
-            ]
+            vec![("slip_band_excess", of(P::SlipExtra)), ("slip_exponent", of(P::SlipExponent))]
         }
         // High slots are narrower where the edge that begins them is late.
         "unequal-edges" => vec![("offset", -of(P::EdgeOffset))],

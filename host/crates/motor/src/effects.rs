@@ -239,10 +239,6 @@ effects! {
         slip_band_excess: "1", Linear, [0.0, 5.0], 0.0, 0.5;
         /// n of that slip: half of it gives ½ⁿ of the torque (1).
         slip_exponent: "1", Linear, [0.1, 4.0], 1.0, 1.0;
-        /// The slip at the whole torque of a rotor at rest beyond that of one at its free speed, as a share of it (1).
-        slip_band_excess_at_rest: "1", Linear, [0.0, 5.0], 0.0, 0.0;
-        /// Power of the wave's height, over that of the steady wave, that the torque goes with (1).
-        wave_power: "1", Linear, [0.0, 4.0], 0.0, 0.0;
     }
     /// The two directions differ.
     direction_asymmetry: DirectionAsymmetry, "direction-asymmetry", Plant {

@@ -21,10 +21,6 @@ pub struct Modulation {
     pub slip_excess: f64,
     /// Exponent n of that slip, half of which gives ½ⁿ of the torque (1). Averaged model only.
     pub slip_exponent: f64,
-    /// What of that slip a rotor at rest needs beyond one at its free speed (1). Averaged model only.
-    pub slip_at_rest: f64,
-    /// Power of the wave's height that the contact's torque goes with (1). Averaged model only.
-    pub wave_power: f64,
     /// Added load torque, against positive rotation (N·m).
     pub load_nm: f64,
     /// Added Coulomb friction, against the motion (N·m).
@@ -53,8 +49,6 @@ impl Modulation {
         contact_exponent: 1.0,
         slip_excess: 0.0,
         slip_exponent: 1.0,
-        slip_at_rest: 0.0,
-        wave_power: 0.0,
         load_nm: 0.0,
         brake_nm: 0.0,
         off_brake_nm: 0.0,

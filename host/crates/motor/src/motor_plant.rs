@@ -195,8 +195,6 @@ impl MotorPlant {
             m.contact_exponent = e.exponent;
             m.slip_excess = e.slip_band_excess;
             m.slip_exponent = e.slip_exponent;
-            m.slip_at_rest = e.slip_band_excess_at_rest;
-            m.wave_power = e.wave_power;
         }
         if let Some(e) = e.direction_asymmetry {
             m.voltage *= 1.0 + sense * e.gain;

@@ -353,27 +353,6 @@ fn what_has_run_in_or_is_warm_is_a_motor_of_that_friction_and_strength() {
     assert!((warm / end_rad(None) - 1.0).abs() > 1e-3);
 }
 
-/// Fails if a contact that is soft at rest, or that a low wave presses less, is so at speed too: what a start loses would then be lost all along.
-#[test]
-fn a_soft_start_is_one_of_starts_alone() {
-    let p = parameters(Flavour::Physical);
-    let model = PlantModel::Motor { parameters: p, flavour: Flavour::Physical, solver: Solver::Averaged };
-    let ways = |values: &[f64]| {
-        let mut effects = EffectSet::default();
-        effects.set("contact-stiffening", values).unwrap();
-        [0.1, 0.2].map(|s| {
-            simulate(&Program::constant(1.0, Direction::Cw, s, s), &model, &effects, History::default()).end_rad
-        })
-    };
-    let [early, late] = ways(&[1.0]);
-    for soft in [[1.0, 0.0, 1.0, 1.0, 0.0], [1.0, 0.0, 1.0, 0.0, 1.0]] {
-        let [soft_early, soft_late] = ways(&soft);
-        assert!(early - soft_early > 3e-5, "{soft:?}: {soft_early} of {early} rad");
-        let speeds = (soft_late - soft_early) / (late - early);
-        assert!((speeds - 1.0).abs() < 0.01, "{soft:?}: {speeds} of the speed");
-    }
-}
-
 #[test]
 fn a_resting_contact_springs_under_a_load() {
     let p = parameters(Flavour::Physical).assign(&["Tload=5e-3"]).unwrap();

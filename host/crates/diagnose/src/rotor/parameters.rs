@@ -65,10 +65,6 @@ pub enum P {
     SlipExtra,
     /// `contact-stiffening`: exponent n of the contact's force: half the slip band gives ½ⁿ of the torque.
     SlipExponent,
-    /// `contact-stiffening`: addition to the slip band of a rotor at rest, less the nearer it is to its free speed.
-    SlipAtRest,
-    /// `contact-stiffening`: power of the wave's height that the contact's torque goes with.
-    WavePower,
     /// `direction-asymmetry`: relative speed difference, half of cw minus ccw.
     AsymSpeed,
     /// `direction-asymmetry`: relative difference of the friction, under the wave and without it, half of cw minus ccw.
@@ -163,7 +159,7 @@ pub enum P {
 
 impl P {
     /// All parameters in index order.
-    pub const ALL: [P; 74] = [
+    pub const ALL: [P; 72] = [
         P::FreeSpeed,
         P::OnAcceleration,
         P::OffDeceleration,
@@ -191,8 +187,6 @@ impl P {
         P::Saturation,
         P::SlipExtra,
         P::SlipExponent,
-        P::SlipAtRest,
-        P::WavePower,
         P::AsymSpeed,
         P::AsymFriction,
         P::AsymBrake,

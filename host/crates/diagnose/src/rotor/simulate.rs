@@ -35,10 +35,8 @@ const LONGEST_S: f64 = 0.02;
 const LONGEST_OVER_ANGLE_S: f64 = 4e-3;
 /// The sizes of `run-in-wear`.
 const WEAR: [P; 3] = [P::Wear, P::WearRunIn, P::WearFriction];
-/// Step in s while friction or the contact changes with the speed.
-const FRICTION_S: f64 = 2.5e-4;
-/// Least free speed in rad/s that a speed is held against.
-const SLOWEST: f64 = 1e-6;
+/// Step in s while friction changes with a speed that is not far above the Stribeck speed.
+const STRIBECK_S: f64 = 2.5e-4;
 /// Time in s in which the contact takes up the last of a speed difference, at least: a narrower band would be crossed back and forth within
 /// one step.
 const SHORTEST_S: f64 = 1e-7;
@@ -112,8 +110,6 @@ struct Simulation<'a> {
     p: &'a Parameters,
     terms: &'a RunTerms,
     wave: Wave,
-    /// Share of the drive's torque that half the slip band gives.
-    half_band_torque: f64,
     /// What changes with the angle, so that no period repeats another.
     has_angle: bool,
     /// What [`Self::over_angle`] said of the angle that was measured last, and which that was.
@@ -165,7 +161,6 @@ impl<'a> Simulation<'a> {
             p,
             terms,
             wave,
-            half_band_torque: 0.5_f64.powf(p.get(P::SlipExponent)),
             formulas: placed(input.formulas)
                 .map(|(h, places)| (h.as_ref(), p.of_formula(places)))
                 .filter(|(h, values)| h.is_there(values))
@@ -357,10 +352,7 @@ impl<'a> Simulation<'a> {
             longest = longest.min(0.25 * p.get(P::SagTime)).max(5e-4);
         }
         if p.get(P::Stribeck) != 0.0 && self.speed.abs() < 3.0 * p.get(P::StribeckSpeed) {
-            longest = longest.min(FRICTION_S);
-        }
-        if p.get(P::SlipAtRest) != 0.0 {
-            longest = longest.min(FRICTION_S);
+            longest = longest.min(STRIBECK_S);
         }
         longest
     }
@@ -369,6 +361,8 @@ impl<'a> Simulation<'a> {
     fn advance(&mut self, until: f64, by: By) {
         let p = self.p;
         let driven = self.wave.driven();
+        let half_band_torque = 0.5_f64.powf(p.get(P::SlipExponent));
+        let band_fraction = (p.get(P::SlipBand) + p.get(P::SlipExtra)).max(1e-3);
         while self.t < until - 1e-12 && !self.done() {
             let directions = &self.input.schedule.directions;
             while self.direction + 1 < directions.len() && directions[self.direction + 1].0 <= self.t + 1e-12 {
@@ -384,13 +378,34 @@ impl<'a> Simulation<'a> {
             }
             let (modulation, mut external) = self.over_angle();
             external -= p.get(P::Viscous) * self.speed + self.stribeck(by == By::Wave, sign);
+            let [worn_speed, worn_friction] = self.worn;
             let warm_friction = p.get(P::HeatFriction) * self.warmth;
-            let friction = (1.0 + self.worn[1]).max(0.01)
+            let friction = (1.0 + worn_friction).max(0.01)
                 * (1.0 + warm_friction).max(0.01)
                 * (1.0 + sign * p.get(P::AsymFriction));
             let step_s = end - self.t;
             match by {
-                By::Wave => self.ride(end, sign, friction, modulation, external),
+                By::Wave => {
+                    let kept = (1.0 + self.by_formulas(ActsOn::Speed, sign)).max(0.0);
+                    let full = sign * self.wave.full * self.gain(sign, worn_speed, modulation, end) * kept;
+                    let torque = friction
+                        * (1.0 + p.get(P::RunoutTorque) * modulation)
+                        * (1.0 + self.by_formulas(ActsOn::Torque, sign));
+                    let Course { heights, carried } = self.wave.course(self.t, end);
+                    // What the wave carries pulls as it does, the rest as without it, but no more.
+                    let whole = self.wave.rate * torque.max(0.01);
+                    let rest = (1.0 - carried) * self.brake(friction, sign, modulation).min(whole);
+                    let acceleration = carried * whole + rest;
+                    let ahead = (carried * whole * p.get(P::Ahead) + rest) / acceleration;
+                    let band = (band_fraction * full.abs()).max(SHORTEST_S * acceleration);
+                    let [from, to] = heights.map(|height| full * height);
+                    let (began, slope) = (self.t, (to - from) / step_s);
+                    while self.t < end - 1e-12 && !self.done() {
+                        let crest = from + slope * (self.t - began);
+                        let pull = Pull { sign, crest, slope, acceleration, band, half_band_torque, ahead };
+                        self.follow(on_piece(self.speed, &pull, external), end);
+                    }
+                }
                 By::Friction => {
                     let brake = self.brake(friction, sign, modulation);
                     while self.t < end - 1e-12 && !self.done() {
@@ -405,36 +420,6 @@ impl<'a> Simulation<'a> {
                 let drive = if driven { 1.0 } else { 0.0 };
                 self.sagged = drive + (self.sagged - drive) * (-step_s / p.get(P::SagTime).max(1e-4)).exp();
             }
-        }
-    }
-
-    /// Follows the wave until `end`, where the friction is so much of the motor's own.
-    fn ride(&mut self, end: f64, sign: f64, friction: f64, modulation: f64, external: f64) {
-        let p = self.p;
-        let kept = (1.0 + self.by_formulas(ActsOn::Speed, sign)).max(0.0);
-        let full = sign * self.wave.full * self.gain(sign, self.worn[0], modulation, end) * kept;
-        let torque =
-            friction * (1.0 + p.get(P::RunoutTorque) * modulation) * (1.0 + self.by_formulas(ActsOn::Torque, sign));
-        let Course { heights, carried } = self.wave.course(self.t, end);
-        let [from, to] = heights.map(|height| full * height);
-        let pressed = match p.get(P::WavePower) {
-            0.0 => 1.0,
-            power => (0.5 * (heights[0] + heights[1])).powf(power),
-        };
-        // What the wave carries pulls as it does, the rest as without it, but no more.
-        let whole = self.wave.rate * (torque * pressed).max(0.01);
-        let rest = (1.0 - carried) * self.brake(friction, sign, modulation).min(whole);
-        let acceleration = carried * whole + rest;
-        let ahead = (carried * whole * p.get(P::Ahead) + rest) / acceleration;
-        let behind = (1.0 - sign * self.speed / full.abs().max(SLOWEST)).clamp(0.0, 1.0);
-        let slip = p.get(P::SlipBand) + p.get(P::SlipExtra) + p.get(P::SlipAtRest) * behind;
-        let band = (slip.max(1e-3) * full.abs()).max(SHORTEST_S * acceleration);
-        let half_band_torque = self.half_band_torque;
-        let (began, slope) = (self.t, (to - from) / (end - self.t));
-        while self.t < end - 1e-12 && !self.done() {
-            let crest = from + slope * (self.t - began);
-            let pull = Pull { sign, crest, slope, acceleration, band, half_band_torque, ahead };
-            self.follow(on_piece(self.speed, &pull, external), end);
         }
     }
 

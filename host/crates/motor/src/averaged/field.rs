@@ -137,12 +137,11 @@ impl Averaged {
         };
         let (g1, g2) = self.feedback(&pressed, sense * self.speed_rad_s / crest);
         let drag = pressed.friction * c.tangential * creep;
-        let held = if c.wave_power == 0.0 { 1.0 } else { (amplitude / self.reference_m).powf(c.wave_power) };
         let mut field = Field {
             pressed,
             sense,
             crest,
-            limit: pressed.friction * pressed.share * c.preload * c.radius * held,
+            limit: pressed.friction * pressed.share * c.preload * c.radius,
             gone: pressed.gone,
             ..Field::default()
         };

@@ -12,8 +12,7 @@ impl Averaged {
     pub(super) fn accelerate(&self, field: &Field, speed: f64) -> (f64, f64) {
         let c = &self.coefficients;
         let Field { pressed: Pressed { phi, zeta, beta, .. }, sense, crest, limit, .. } = *field;
-        let behind = if c.slip_at_rest > 0.0 { 1.0 - sense * speed / self.reference_rad_s } else { 0.0 };
-        let (share, slope) = match c.slip_excess + c.slip_at_rest * behind.clamp(0.0, 1.0) {
+        let (share, slope) = match c.slip_excess {
             0.0 => share(sense * speed / crest, phi, zeta, beta),
             excess => soft_share(sense * speed / crest, phi, zeta, beta, (excess, c.half_slip_torque)),
         };
