@@ -367,6 +367,18 @@ mod tests {
         judge(sets, sets.iter().find(|s| s.key.is_empty()).expect("there is a root"), &background)
     }
 
+    /// All effects look alike.
+    fn all_alike() -> Background<'static> {
+        Background {
+            temperature: 1.0,
+            alike: &|_, _| true,
+            clear_lead: ALIKE,
+            most_of_a_course: MOST_OF_A_COURSE,
+            within_runs: &|_| false,
+            makes_course: &|_, _| false,
+        }
+    }
+
     /// Fails if rivals of different kinds make one set: a person would take either of four where it is one of each two.
     #[test]
     fn rivals_are_told_apart_by_what_they_look_like() {
@@ -402,31 +414,15 @@ mod tests {
     /// Fails if what would be there in an effect's place is no longer told from what does worse than that.
     #[test]
     fn the_rivals_are_those_of_the_best_set_without() {
-        let background = Background {
-            temperature: 1.0,
-            alike: &|_, _| true,
-            clear_lead: ALIKE,
-            most_of_a_course: MOST_OF_A_COURSE,
-            within_runs: &|_| false,
-            makes_course: &|_, _| false,
-        };
         let behind = |effects: &[usize], share: f64| set(effects, 200.0 - share * ALIKE, 1.0);
         let sets = [behind(&[0], 0.0), behind(&[1, 2], 0.3), behind(&[3], 0.6), set(&[], 0.0, 9.0)];
-        assert_eq!(judge(&sets, &sets[3], &background).one_of, [vec![0, 1, 2]]);
+        assert_eq!(judge(&sets, &sets[3], &all_alike()).one_of, [vec![0, 1, 2]]);
     }
 
     /// Fails if what stands beside an effect joins the rivals for its place: then one of four is said to be there where it is one of each two.
     #[test]
     fn what_stands_beside_an_effect_is_no_rival_of_it() {
-        let background = Background {
-            temperature: TEMPERATURE,
-            alike: &|_, _| true,
-            clear_lead: ALIKE,
-            most_of_a_course: MOST_OF_A_COURSE,
-            within_runs: &|_| false,
-            makes_course: &|_, _| false,
-        };
-        let of = |sets: &[Visited]| judge(sets, &sets[sets.len() - 1], &background).one_of;
+        let of = |sets: &[Visited]| judge(sets, &sets[sets.len() - 1], &all_alike()).one_of;
         let root = set(&[], 0.0, 9.0);
         let [first, second] = [set(&[0, 2], 200.0, 1.0), set(&[0, 3], 199.0, 1.0)];
         let instead = set(&[1, 3], 190.0, 1.1);

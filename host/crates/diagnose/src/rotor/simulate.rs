@@ -1,13 +1,15 @@
 //! A run, stepped from event to event.
 
+mod acting;
+
 use super::clock::driven_s;
 use super::motion::{Piece, Pull, off_piece, on_piece};
-use super::parameters::{harmonics, placed};
+use super::parameters::placed;
 use super::warming::Warming;
 use super::wave::{Course, Wave};
 use super::{P, Parameters, RunTerms, Schedule, effective_duty, start_delay, warm_up};
 use std::sync::Arc;
-use twum_motor::hypothesis::{ActsOn, Hypothesis, MOST_NUMBERS, Now};
+use twum_motor::hypothesis::{ActsOn, Hypothesis, MOST_NUMBERS};
 
 /// What a simulation of one run needs beside the parameters.
 #[derive(Debug, Clone)]
@@ -33,8 +35,6 @@ pub struct RunInput<'a> {
 /// Longest steps in s: of anything, and of what hangs on the angle.
 const LONGEST_S: f64 = 0.02;
 const LONGEST_OVER_ANGLE_S: f64 = 4e-3;
-/// The sizes of `run-in-wear`.
-const WEAR: [P; 3] = [P::Wear, P::WearRunIn, P::WearFriction];
 /// Step in s while friction changes with a speed that is not far above the Stribeck speed.
 const STRIBECK_S: f64 = 2.5e-4;
 /// Time in s in which the contact takes up the last of a speed difference, at least: a narrower band would be crossed back and forth within
@@ -44,12 +44,6 @@ const SHORTEST_S: f64 = 1e-7;
 const SETTLED: f64 = 9.0;
 /// Change over a period of the speed, relative to the free speed, of the sag and of the wave's height below which periods repeat each other.
 const REPEATS: f64 = 1e-7;
-
-/// Wear is held, so that periods repeat each other, while the way grows by this share of itself and these revolutions: by then neither
-/// ln(1 + x) nor 1 − e⁻ˣ has changed by more than half a hundredth, for what runs in within half a revolution and slower. It does not hang on
-/// the fitted revolutions: over them, what is held would be no smooth function.
-const WORN_SHARE: f64 = 0.005;
-const WORN_REVOLUTIONS: f64 = 0.002;
 
 /// What moves the rotor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -423,15 +417,6 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    /// What brakes without a wave, in rad/s², where the friction is so much of its own.
-    fn brake(&mut self, friction: f64, sign: f64, modulation: f64) -> f64 {
-        let p = self.p;
-        p.off_deceleration().max(0.0)
-            * friction
-            * (1.0 + sign * p.get(P::AsymBrake) + p.get(P::RunoutBrake) * modulation).max(0.0)
-            * (1.0 + self.by_formulas(ActsOn::Braking, sign)).max(0.0)
-    }
-
     /// Follows a closed form until it ends, or until `end`.
     fn follow(&mut self, piece: Piece, end: f64) {
         if let Some(record) = &mut self.record {
@@ -448,113 +433,5 @@ impl<'a> Simulation<'a> {
         self.angle += a;
         self.speed = w;
         self.t = stop;
-    }
-
-    /// The angle that the encoder shows now, in rad.
-    fn shown(&mut self) -> f64 {
-        let now = self.t * (1.0 + self.p.get(P::ClockError)) + self.p.get(P::Latency);
-        let times = self.input.times;
-        while self.measured + 1 < times.len() && times[self.measured + 1] <= now {
-            self.measured += 1;
-        }
-        self.input.angles.get(self.measured).copied().unwrap_or(self.angle)
-    }
-
-    /// What the effects that are formulas change now of what they act on.
-    fn by_formulas(&mut self, what: ActsOn, sign: f64) -> f64 {
-        if self.formulas.iter().all(|f| f.0.acts_on != what) {
-            return 0.0;
-        }
-        let now = Now {
-            duty: self.duty,
-            time_s: self.t,
-            on_s: self.on_time,
-            turned_rad: self.shown(),
-            speed_rad_s: self.speed,
-            direction: sign,
-            revolutions: self.input.revolutions + self.angle.abs() / std::f64::consts::TAU,
-        };
-        self.changes(what, &now).map(|change| 1.0 + change).product::<f64>() - 1.0
-    }
-
-    fn changes(&self, what: ActsOn, now: &Now) -> impl Iterator<Item = f64> {
-        self.formulas.iter().filter(move |f| f.0.acts_on == what).map(move |(h, values)| h.change(values, now))
-    }
-
-    /// The duty that is asked of the driver's own map in the period that begins now.
-    fn commanded(&self, start: f64, duty: f64) -> f64 {
-        if duty <= 0.0 || self.formulas.is_empty() {
-            return duty;
-        }
-        let directions = &self.input.schedule.directions;
-        let direction = directions.iter().rev().find(|d| d.0 <= start).map_or(1.0, |d| d.1);
-        let mut u = duty;
-        for change in self.changes(ActsOn::Duty, &Now { duty, direction, ..Now::default() }) {
-            u = (u + change).clamp(0.0, 1.0);
-        }
-        u
-    }
-
-    /// Relative modulation by the angle, and the torque over inertia that hangs on it.
-    fn over_angle(&mut self) -> (f64, f64) {
-        if !self.has_angle {
-            return (0.0, 0.0);
-        }
-        let theta = self.shown();
-        if let Some((measured, modulation, load)) = self.over_measured
-            && measured == self.measured
-        {
-            return (modulation, load);
-        }
-        let (s, c) = theta.sin_cos();
-        let load = self.p.get(P::OnAcceleration) * (self.terms.gravity[0] * c + self.terms.gravity[1] * s);
-        let modulation = harmonics(&self.terms.runout, theta);
-        self.over_measured = Some((self.measured, modulation, load));
-        (modulation, load)
-    }
-
-    /// Friction that fades with speed, over inertia, against the motion.
-    fn stribeck(&self, carried: bool, sign: f64) -> f64 {
-        let extra = self.p.get(P::Stribeck) * self.p.get(P::OnAcceleration);
-        if extra == 0.0 || !(carried || self.speed != 0.0) {
-            return 0.0;
-        }
-        let x = self.speed / self.p.get(P::StribeckSpeed).max(1e-3);
-        let sense = if self.speed != 0.0 { self.speed.signum() } else { sign };
-        sense * extra * (-x * x).exp()
-    }
-
-    /// Looks again how far the contact has worn, if it has turned by enough; whether it did.
-    fn wears(&mut self) -> bool {
-        let [for_ever, run_in, friction] = WEAR.map(|p| self.p.get(p));
-        if [for_ever, run_in, friction] == [0.0; 3] {
-            return false;
-        }
-        let revolutions = self.input.revolutions + self.angle.abs() / std::f64::consts::TAU;
-        if revolutions < self.worn_until {
-            return false;
-        }
-        self.worn_until = WORN_REVOLUTIONS + revolutions * (1.0 + WORN_SHARE);
-        let x = revolutions / self.p.get(P::WearRevolutions).max(1e-6);
-        let done = -(-x).exp_m1();
-        self.worn = [for_ever * x.ln_1p() + run_in * done, friction * done];
-        true
-    }
-
-    /// Factor on the wave's speed until `end`.
-    fn gain(&self, sign: f64, worn: f64, modulation: f64, end: f64) -> f64 {
-        let p = self.p;
-        let mut gain = 1.0 + worn - p.get(P::HeatLoss) * self.warmth
-            + sign * p.get(P::AsymSpeed)
-            + p.get(P::RunoutSpeed) * modulation;
-        if p.get(P::Sag) != 0.0 {
-            let middle = (-0.5 * (end - self.t) / p.get(P::SagTime).max(1e-4)).exp();
-            gain -= p.get(P::Sag) * (1.0 - (1.0 - self.sagged) * middle);
-        }
-        if p.get(P::SettleExcess) != 0.0 {
-            let since = if p.get(P::SettleOnTime) > 0.5 { self.on_time } else { self.t };
-            gain += p.get(P::SettleExcess) * (-(since + 0.5 * (end - self.t)) / p.get(P::SettleTau).max(1e-4)).exp();
-        }
-        (gain * self.kept).max(0.0)
     }
 }
